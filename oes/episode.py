@@ -1,0 +1,79 @@
+"""The nouns that flow through every stage: Camera, Body, Step, Frames, Episode."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SEG_NOTHING, SEG_TABLE, SEG_ROBOT, SEG_FIRST_OBJECT = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera. ``K_33`` maps cam rays to pixels (pix frame), ``world_T_cam_44`` its pose."""
+
+    name: str
+    K_33: Floats
+    world_T_cam_44: Floats
+    width_px: int
+    height_px: int
+
+
+@dataclass(frozen=True)
+class Body:
+    """One object of an episode: a catalogue mesh, scaled along its own axes, with its physics and texture."""
+
+    mesh: str
+    category: str
+    scale_3: Floats
+    mass_kg: float
+    friction: float
+    texture_seed: int
+
+
+@dataclass(frozen=True)
+class Step:
+    """The true state of the world at one recorded instant.
+
+    ``center_N3`` and ``size_N3`` are the axis-aligned hull (world axes) of each posed mesh.
+    ``touched_MM`` says which of the M = N + 2 things (table, robot, objects in order) were in contact
+    at any moment since the previous recorded state (at the first state: all False).
+    """
+
+    t_ns: int
+    world_T_obj_N44: Floats
+    center_N3: Floats
+    size_N3: Floats
+    tip_world_3: Floats
+    joints_rad_J: Floats
+    world_T_link_L44: Floats
+    touched_MM: NDArray[np.bool_]
+    cameras: tuple[Camera, ...]
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Images of one state from V cameras: RGB, z-depth in metres (0 = no return), segmentation ids."""
+
+    rgb_VHW3: NDArray[np.uint8]
+    depth_m_VHW: NDArray[np.float32]
+    seg_VHW: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One trajectory: T + 1 states and the T actions between them (horizontal tip displacements, metres).
+
+    ``rod_rms_m`` is the RMS distance of the rod's tip from its commanded path over the simulation steps.
+    """
+
+    task: str
+    split: str
+    index: int
+    seed: int
+    bodies: tuple[Body, ...]
+    actions_T3: Floats
+    steps: tuple[Step, ...]
+    rod_rms_m: float

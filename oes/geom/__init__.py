@@ -1,0 +1,1 @@
+"""Geometry of the conventions in ``oes``: rigid motions, cameras, boxes and voxel grids."""
