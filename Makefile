@@ -1,0 +1,96 @@
+# Everything starts here: `make help`. One profile at a time: `make all PROFILE=smoke` runs in build/smoke.
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+PYTHON ?= python3.11
+PROFILE ?= default
+VENV := $(CURDIR)/.venv
+READY := .venv/.ready-$(shell cksum < requirements.lock | cut -d' ' -f1)
+HERE := $(if $(filter default,$(PROFILE)),.,build/$(PROFILE))
+STAGES := meshes episodes perception objects dynamics rollouts trials tables
+
+export PATH := $(VENV)/bin:$(PATH)
+export DVC_NO_ANALYTICS := 1
+
+.PHONY: help all test check setup smoke demo bench evaluate doctor clean profile $(STAGES)
+
+help: ## list what can be made
+	@echo 'make all [PROFILE=smoke|paper]   make STAGE [PROFILE=...]   make evaluate MESHES=folder'
+	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
+
+# DVC needs many seconds to find that nothing changed among thousands of files, so a glance at names, sizes and times
+# comes first. The code's is taken before the run: an edit made during the run is seen by the next.
+GLANCE = find $(1) -name __pycache__ -prune -o -not -type d -printf '%p %s %T@\n' | LC_ALL=C sort | cksum
+CODE = $(call GLANCE,pipeline.yaml params.yaml stages oes)
+DATA = $(call GLANCE,dvc.lock datasets reports)
+
+all: profile ## the whole study, from meshes to reports/; what is up to date is not run again
+	@cd $(HERE) && code="$$($(CODE))" && done=.dvc/tmp/done && \
+	  if [ -f $$done ] && [ "$$code $$($(DATA))" = "$$(cat $$done)" ]; then echo 'Everything is up to date.'; \
+	  else dvc repro && echo "$$code $$($(DATA))" > $$done; fi
+
+test: setup check ## everything that must be green before a commit, from a fresh clone on
+
+check: setup ## ruff, mypy and pytest
+	ruff format --check .
+	ruff check .
+	mypy --strict oes
+	pytest -q
+
+setup: $(READY) ## the virtual environment with every pinned dependency
+
+smoke: ## the whole study with tiny sizes, in minutes; its figures mean nothing
+	@$(MAKE) --no-print-directory all PROFILE=smoke
+
+meshes: ## the catalogue of objects
+episodes: ## pushes in the simulator, seen by 27 cameras
+perception: ## train views -> 3D -> boxes and masks
+objects: ## what perception sees in every episode
+dynamics: ## train every model of how objects move
+rollouts: ## every model's errors on held-out episodes
+trials: ## pushing to targets in closed loop
+tables: ## reports/: tables, figures, metrics.json
+
+$(STAGES): profile
+	@cd $(HERE) && dvc repro $@
+
+demo: setup ## plan and carry out one push with the weights in git; writes a video
+	@cd $(HERE) && python -m oes.demo
+
+bench: setup ## speed of capture, perception and planning on this machine
+	@python -m benchmarks
+
+evaluate: setup ## Table 1 on your own meshes, no training: make evaluate MESHES=folder
+	@test -n "$(MESHES)" || { echo 'evaluate: say which meshes: make evaluate MESHES=folder'; exit 1; }
+	@cd $(HERE) && python -m oes.evaluate --meshes "$(abspath $(MESHES))"
+
+doctor: setup ## check every recorded episode
+	@cd $(HERE) && python -m oes.record.doctor datasets/episodes
+
+clean: ## delete unfinished work and the other profiles' builds; datasets and the cache stay
+	rm -rf .work build .mypy_cache .pytest_cache .ruff_cache
+
+# The lock's checksum is in the stamp's name, so that neither a checkout nor a touch installs anything again.
+$(READY): requirements.lock
+	@$(PYTHON) --version >/dev/null 2>&1 || { echo 'Python 3.11 is needed: make PYTHON=/path/to/python3.11 ...'; exit 1; }
+	test -x .venv/bin/python || $(PYTHON) -m venv .venv
+	pip install -q -r requirements.lock
+	pip install -q --no-deps --no-build-isolation -e .
+	rm -f .venv/.ready-* && touch $@
+
+# A profile is a copy of the working tree (what git tracks or would add) with that profile's params, in build/.
+# It keeps its own datasets, reports, work and lock, and shares the cache.
+profile: setup
+ifneq ($(HERE),.)
+	@test -f params.$(PROFILE).yaml || { echo "no params.$(PROFILE).yaml; there are:" params.*.yaml; exit 1; }
+	@mkdir -p $(HERE)
+	@git -c core.quotepath=off ls-files -co --exclude-standard | grep -vE '^(reports/|dvc\.lock$$|params\.yaml$$)' \
+	  | while IFS= read -r f; do if [ -e "$$f" -o -L "$$f" ]; then echo "$$f"; fi; done | sort -u > build/$(PROFILE).now
+	@touch build/$(PROFILE).copied
+	@comm -23 <(sort build/$(PROFILE).copied) build/$(PROFILE).now | (cd $(HERE) && tr '\n' '\0' | xargs -0 rm -f)
+	@tar -cf - -T build/$(PROFILE).now | tar -xf - -C $(HERE)
+	@mv build/$(PROFILE).now build/$(PROFILE).copied
+	@cmp -s params.$(PROFILE).yaml $(HERE)/params.yaml || cp params.$(PROFILE).yaml $(HERE)/params.yaml
+	@printf '[core]\n    no_scm = true\n[cache]\n    dir = %s/.dvc/cache\n' "$(CURDIR)" > $(HERE)/.dvc/config.local
+endif

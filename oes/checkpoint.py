@@ -1,0 +1,112 @@
+"""What a training run is made of, and its state on disk: weights, averages, moments, log; nothing is unpickled."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from oes.config import from_json, params, to_json
+
+Row = dict[str, float]
+
+FORMAT = "oes-fit-1"
+
+
+@params
+class Fit:
+    """How to train. ``lr`` is the peak; it falls to a hundredth. ``ema_decay`` 0 keeps the last weights instead."""
+
+    steps: int
+    batch: int
+    lr: float
+    warmup_steps: int
+    weight_decay: float
+    clip: float
+    ema_decay: float
+    bfloat16: bool
+    checkpoint_every_steps: int
+    log_every_steps: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        """Raises ValueError (a ParamsError when read from params.yaml) for counts that make no sense."""
+        for name in ("steps", "batch", "checkpoint_every_steps", "log_every_steps", "lr", "clip"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be positive")
+        if not 0 <= self.ema_decay < 1:
+            raise ValueError("ema_decay must be in [0, 1)")
+
+
+class FitError(ValueError):
+    """Training that cannot go on: a foreign or broken checkpoint, or a loss that is no longer finite."""
+
+
+@dataclass
+class Training:
+    """Everything that changes while training, and so everything that a checkpoint holds."""
+
+    model: nn.Module
+    ema: nn.Module | None
+    optimizer: torch.optim.AdamW
+    rows: list[Row]
+    step: int
+
+
+def save(training: Training, path: Path, cfg: Fit) -> None:
+    """Write everything to ``path``, which appears whole."""
+    tensors = {f"model.{name}": value for name, value in training.model.state_dict().items()}
+    if training.ema is not None:
+        tensors |= {f"ema.{name}": value for name, value in training.ema.state_dict().items()}
+    for i, p in enumerate(_trained(training)):
+        tensors |= {f"optimizer.{i}.{name}": value for name, value in training.optimizer.state[p].items()}
+    tensors = {name: value.detach().cpu().clone().contiguous() for name, value in tensors.items()}
+    about = {"format": FORMAT, "cfg": to_json(cfg), "step": str(training.step), "rows": json.dumps(training.rows)}
+    part = path.with_suffix(".part")
+    save_file(tensors, part, about)
+    os.replace(part, path)
+
+
+def restore(training: Training, path: Path, cfg: Fit) -> None:
+    """Overwrite ``training`` with what ``save`` wrote. Raises FitError naming the file and what is wrong with it."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            about = file.metadata() or {}
+            tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}
+    except (SafetensorError, OSError) as error:
+        raise FitError(f"{path}: not a readable checkpoint: {error}") from error
+    if about.get("format") != FORMAT:
+        raise FitError(f"{path}: not a training checkpoint (format {about.get('format')!r}, wanted {FORMAT!r})")
+    if from_json(about["cfg"], Fit, str(path)) != cfg:
+        raise FitError(f"{path}: written under other settings: {about['cfg']}")
+    try:
+        training.model.load_state_dict(_under("model.", tensors))
+        if training.ema is not None:
+            training.ema.load_state_dict(_under("ema.", tensors))
+        for i, p in enumerate(_trained(training)):
+            training.optimizer.state[p] = _moments(_under(f"optimizer.{i}.", tensors), p)
+    except (RuntimeError, KeyError) as error:
+        raise FitError(f"{path}: holds another model: {error}") from error
+    training.rows = json.loads(about["rows"])
+    training.step = int(about["step"])
+
+
+def _trained(training: Training) -> list[Tensor]:
+    return [p for group in training.optimizer.param_groups for p in group["params"]]
+
+
+def _moments(saved: dict[str, Tensor], p: Tensor) -> dict[str, Tensor]:
+    """AdamW's state of one parameter: the moments in the parameter's own layout, the counter as it was."""
+    return {
+        name: value if name == "step" else torch.empty_like(p, requires_grad=False).copy_(value)
+        for name, value in saved.items()
+    }
+
+
+def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}

@@ -1,0 +1,117 @@
+"""params.yaml: one section -> one frozen, strictly typed dataclass.
+
+A number exists once, in params.yaml; Python has no defaults. A key that is unknown, missing or of the wrong
+type is an error that names the file and the dotted key, as in ``params.yaml: rollouts.noise_m``.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, cast, dataclass_transform, get_args, get_origin, get_type_hints
+
+import yaml
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+from pydantic_core import ErrorDetails
+
+Params = TypeVar("Params")
+
+KEY_ERRORS = {"unexpected_keyword_argument": "unknown key", "missing": "missing"}
+
+
+class ParamsError(ValueError):
+    """A params section, or a config stored beside weights, that is not what its dataclass asks for."""
+
+
+@dataclass_transform(frozen_default=True)
+def params(cls: type[Params]) -> type[Params]:
+    """Make a class a frozen dataclass that refuses unknown keys, missing keys and ill-typed values."""
+    config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+    made: Any = dataclass(frozen=True, config=config)(cls)
+    return cast(type[Params], made)
+
+
+def load(path: Path, section: str, cls: type[Params]) -> Params:
+    """Read one section of a YAML file into ``cls``. YAML lists become tuples, ints pass as floats, text never does.
+
+    Raises ParamsError naming the file, the dotted key, what is wrong and, for a stray or missing key, the valid ones.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParamsError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict) or section not in content:
+        raise ParamsError(f"{path}: has no section '{section}'; it has: {_listed(content)}")
+    try:
+        text = json.dumps(content[section], allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ParamsError(f"{path}: {section}: {error}") from error
+    return _validated(text, cls, str(path), section)
+
+
+def to_json(cfg: object) -> str:
+    """A params dataclass as JSON, for a checkpoint's metadata; keys in the order of the fields."""
+    return TypeAdapter(type(cfg)).dump_json(cfg).decode()
+
+
+def from_json(text: str, cls: type[Params], source: str = "stored config") -> Params:
+    """The inverse of ``to_json``. Raises ParamsError (naming ``source``) when the text does not fit ``cls``."""
+    return _validated(text, cls, source, "")
+
+
+def _validated(text: str, cls: type[Params], source: str, section: str) -> Params:
+    try:
+        return TypeAdapter(cls).validate_json(text)
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        problems = [_problem(details, section) for details in errors]
+        valid = [_valid_keys(cls, details["loc"][:-1], section) for details in errors if details["type"] in KEY_ERRORS]
+        raise ParamsError(f"{source}: " + "; ".join(dict.fromkeys(problems + valid))) from error
+
+
+def _problem(details: ErrorDetails, section: str) -> str:
+    """One error of pydantic as ``section.key: what is wrong``."""
+    where = _dotted(section, details["loc"])
+    if details["type"] in KEY_ERRORS:
+        return f"{where}: {KEY_ERRORS[details['type']]}"
+    message = details["msg"].removeprefix("Value error, ")
+    found = details["input"]
+    if isinstance(found, str) and _is_number(found):
+        message += ", and YAML reads this as text: write it like 1.0e-3"
+    shown = "" if isinstance(found, Mapping) else f" (found {found!r})"
+    return f"{where}: {message}{shown}" if where else f"{message}{shown}"
+
+
+def _valid_keys(cls: Any, loc: Sequence[int | str], section: str) -> str:
+    """What may be written in the dataclass found by following ``loc`` down from ``cls``."""
+    for part in loc:
+        cls = _inside(cls, part)
+    names = ", ".join(field.name for field in dataclasses.fields(cls)) if dataclasses.is_dataclass(cls) else "(none)"
+    return f"valid keys{' of ' if section or loc else ''}{_dotted(section, loc)}: {names}"
+
+
+def _dotted(section: str, loc: Sequence[int | str]) -> str:
+    return ".".join(str(part) for part in (section, *loc) if part != "")
+
+
+def _inside(cls: Any, part: int | str) -> Any:
+    """The type of one member of ``cls``: a dataclass's field, or what a dict, tuple or union holds."""
+    if dataclasses.is_dataclass(cls):
+        return get_type_hints(cls).get(str(part))
+    args = get_args(cls)
+    if get_origin(cls) is dict:
+        return args[1]
+    return next((arg for arg in args if dataclasses.is_dataclass(arg) or get_args(arg)), None)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _listed(content: object) -> str:
+    return ", ".join(map(str, content)) if isinstance(content, dict) else "nothing"
