@@ -1,0 +1,155 @@
+"""The ROS 2 messages of an episode: standard types (Humble), four of our own, and the topics that carry them.
+
+``oes_msgs`` hold every number of an Episode exactly, matrices row-major in float64; ROS field names are lower case,
+so ``world_from_obj`` is ``world_T_obj``. The standard messages repeat what viewers draw.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+DEFINITIONS = {
+    "oes_msgs/msg/Body": """
+        string mesh
+        string category
+        float64[3] scale
+        float64 mass_kg
+        float64 friction
+        int64 texture_seed
+    """,
+    "oes_msgs/msg/EpisodeInfo": """
+        string task
+        string split
+        int64 index
+        int64 seed
+        uint32 num_steps
+        float64 rod_rms_m
+        oes_msgs/Body[] bodies
+        string[] camera_names
+    """,
+    "oes_msgs/msg/Action": """
+        std_msgs/Header header
+        uint32 step_i
+        float64[3] displacement_m
+    """,
+    "oes_msgs/msg/ObjectState": """
+        float64[16] world_from_obj
+        float64[3] center_m
+        float64[3] size_m
+    """,
+    "oes_msgs/msg/StepState": """
+        std_msgs/Header header
+        uint32 step_i
+        int64 t_ns
+        oes_msgs/ObjectState[] objects
+        float64[3] tip_m
+        float64[] joints_rad
+        float64[] world_from_links
+        uint8[] touched
+        float64[] intrinsics
+        float64[] world_from_cams
+        uint32[] widths_px
+        uint32[] heights_px
+    """,
+}
+
+INFO, ACTION, STATE = "/episode", "/action", "/step"
+STATE_TOPICS = (INFO, STATE, ACTION)
+IMAGE_KINDS = ("color/image_raw", "depth/image_rect_raw", "segmentation/image_raw")
+INFO_KINDS = ("color/camera_info", "depth/camera_info")
+
+SCENE_TYPES = {
+    INFO: "oes_msgs/msg/EpisodeInfo",
+    STATE: "oes_msgs/msg/StepState",
+    ACTION: "oes_msgs/msg/Action",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/objects/markers": "visualization_msgs/msg/MarkerArray",
+}
+IMAGE_TYPE, CAMERA_INFO_TYPE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+KNOWN_TYPES = {*SCENE_TYPES.values(), IMAGE_TYPE, CAMERA_INFO_TYPE}
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """One serialized message: its topic, its stamp (ns since the epoch of the bag) and its CDR bytes."""
+
+    topic: str
+    stamp_ns: int
+    data: memoryview
+
+
+def topics_of(camera_names: tuple[str, ...]) -> tuple[str, ...]:
+    """Every topic of an episode, in the order in which channels are numbered."""
+    kinds = (*IMAGE_KINDS, *INFO_KINDS)
+    return (*SCENE_TYPES, *(image_topic(name, kind) for name in camera_names for kind in kinds))
+
+
+def topic_type(topic: str) -> str:
+    """The type of a topic of an episode."""
+    if topic in SCENE_TYPES:
+        return SCENE_TYPES[topic]
+    return CAMERA_INFO_TYPE if topic.endswith("/camera_info") else IMAGE_TYPE
+
+
+def topic_counts(camera_names: tuple[str, ...], num_steps: int) -> dict[str, int]:
+    """How many messages each topic of a complete episode of ``num_steps`` states holds."""
+    return {topic: num_steps for topic in topics_of(camera_names)} | {INFO: 1, ACTION: num_steps - 1}
+
+
+def image_topic(camera_name: str, kind: str) -> str:
+    """The topic of one kind of image or camera_info, for instance ``/cam_03/depth/image_rect_raw``."""
+    return f"/{camera_name}/{kind}"
+
+
+@cache
+def typestore() -> Typestore:
+    """ROS 2 Humble's types and ours; made once a process (0.1 s)."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+@cache
+def definition(typename: str) -> str:
+    """The full text of a type and of all the types it uses, as it is embedded in the file."""
+    return typestore().generate_msgdef(typename, ros_version=2)[0]
+
+
+@cache
+def type_hash(typename: str) -> str:
+    """The REP-2016 hash of a type (``RIHS01_...``), which rosbag2 keeps beside its name."""
+    return typestore().hash_rihs01(typename)
+
+
+def make(typename: str, **fields: Any) -> Any:
+    """A message of a type such as ``geometry_msgs/msg/Point``; every field must be given."""
+    return typestore().types[typename](**fields)
+
+
+def encode(topic: str, stamp_ns: int, typename: str, message: object) -> Encoded:
+    """Serialize a message to little-endian CDR."""
+    return Encoded(topic, stamp_ns, typestore().serialize_cdr(message, typename, little_endian=True))
+
+
+def decode(typename: str, data: bytes | memoryview) -> Any:
+    """Read a message back; its arrays are views of ``data``. Raises SerdeError for bytes that do not fit the type."""
+    return typestore().deserialize_cdr(data, typename)
+
+
+def header(stamp_ns: int, frame_id: str) -> Any:
+    """A std_msgs/Header."""
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+    return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
+
+
+def vector(values_3: Any, kind: str = "Vector3") -> Any:
+    """A geometry_msgs Vector3 (or Point) of three numbers."""
+    x, y, z = np.asarray(values_3, np.float64).tolist()
+    return make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
