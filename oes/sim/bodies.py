@@ -1,0 +1,113 @@
+"""Catalogue meshes as Bullet bodies: mass frame, footprint on the table, true box, and the body itself."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+
+from oes.config import params
+from oes.episode import Body, Floats
+from oes.geom.boxes import hull
+from oes.geom.se3 import from_quat_xyzw, inverse, quat_xyzw, rigid, rotation_z, transform
+from oes.sim.client import Bullet
+
+if TYPE_CHECKING:
+    from oes.meshes.catalogue import Mesh
+
+
+@params
+class Bodies:
+    """How bodies are drawn and how they touch: nominal values times a factor drawn from ``vary`` (log-uniform).
+
+    ``scale`` is drawn per axis, uniformly. Friction is against the table (whose own is 1); Bullet multiplies the
+    coefficients of two bodies. ``spinning_m`` and ``rolling_m`` are Bullet's torsional coefficients.
+    """
+
+    mass_kg: float
+    friction: float
+    vary: tuple[float, float]
+    scale: tuple[float, float]
+    spinning_m: float
+    rolling_m: float
+
+
+def draw_body(mesh: "Mesh", cfg: Bodies, rng: np.random.Generator) -> Body:
+    """A body of this mesh with random size, mass, friction and texture (paper appendix B: textures)."""
+    mass, friction = np.array([cfg.mass_kg, cfg.friction]) * np.exp(rng.uniform(*np.log(cfg.vary), 2))
+    return Body(
+        mesh=mesh.id,
+        category=mesh.category,
+        scale_3=rng.uniform(*cfg.scale, 3),
+        mass_kg=float(mass),
+        friction=float(friction),
+        texture_seed=int(rng.integers(2**31)),
+    )
+
+
+def mass_frame(mesh: "Mesh", scale_3: Floats, mass_kg: float) -> tuple[Floats, Floats]:
+    """``obj_T_com`` (origin at the centre of mass, axes along the principal ones) and the principal moments (3, kg m2).
+
+    Exact for scaling along the axes: the second moments of the volume scale axis by axis.
+    """
+    second_33 = 0.5 * np.trace(mesh.inertia_obj_33) * np.eye(3) - mesh.inertia_obj_33
+    second_33 = second_33 * np.outer(scale_3, scale_3) * mass_kg / mesh.volume_m3
+    moments, axes = np.linalg.eigh(np.trace(second_33) * np.eye(3) - second_33)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    return rigid(axes, mesh.com_obj_3 * scale_3), moments
+
+
+def spawn(bullet: Bullet, mesh: "Mesh", body: Body, cfg: Bodies) -> int:
+    """A dynamic Bullet body (the compound of the mesh's convex parts); returns its id. Pose it with ``set_pose``."""
+    obj_T_com, moments = mass_frame(mesh, body.scale_3, body.mass_kg)
+    shape = bullet.createCollisionShape(
+        bullet.GEOM_MESH, fileName=str(mesh.collision_path), meshScale=body.scale_3.tolist()
+    )
+    body_id = bullet.createMultiBody(
+        baseMass=body.mass_kg,
+        baseCollisionShapeIndex=shape,
+        baseInertialFramePosition=obj_T_com[:3, 3].tolist(),
+        baseInertialFrameOrientation=quat_xyzw(obj_T_com[:3, :3]).tolist(),
+    )
+    bullet.changeDynamics(
+        body_id,
+        -1,
+        localInertiaDiagonal=moments.tolist(),
+        lateralFriction=body.friction,
+        spinningFriction=cfg.spinning_m,
+        rollingFriction=cfg.rolling_m,
+        restitution=0.0,
+    )
+    return int(body_id)
+
+
+def set_pose(bullet: Bullet, body_id: int, world_T_obj: Floats, obj_T_com: Floats) -> None:
+    """Put the body's obj frame at ``world_T_obj``, at rest (Bullet itself counts from the mass frame)."""
+    world_T_com = world_T_obj @ obj_T_com
+    bullet.resetBasePositionAndOrientation(
+        body_id, world_T_com[:3, 3].tolist(), quat_xyzw(world_T_com[:3, :3]).tolist()
+    )
+    bullet.resetBaseVelocity(body_id, [0, 0, 0], [0, 0, 0])
+
+
+def get_pose(bullet: Bullet, body_id: int, obj_T_com: Floats) -> Floats:
+    """``world_T_obj`` (4x4) of a body."""
+    position, quat = bullet.getBasePositionAndOrientation(body_id)
+    world_T_com = rigid(from_quat_xyzw(np.array(quat)), np.array(position))
+    return world_T_com @ inverse(obj_T_com)
+
+
+def upright(mesh: "Mesh", body: Body, xy_m: Floats, yaw_rad: float) -> Floats:
+    """``world_T_obj`` of the body standing on the table, its box centre above ``xy_m``."""
+    height = -mesh.visual.bounds[0, 2] * body.scale_3[2]
+    return rigid(rotation_z(yaw_rad), np.array([*xy_m, height]))
+
+
+def true_box(mesh: "Mesh", body: Body, world_T_obj: Floats) -> tuple[Floats, Floats]:
+    """Centre and size of the axis-aligned box (world axes) around the posed mesh."""
+    return hull(transform(world_T_obj, mesh.visual.vertices * body.scale_3))
+
+
+def footprint(mesh: "Mesh", body: Body, world_T_obj: Floats) -> shapely.Geometry:
+    """The outline of the posed body seen from above: the union of its convex parts' shadows."""
+    shadows = [transform(world_T_obj, part.vertices * body.scale_3)[:, :2] for part in mesh.parts]
+    return shapely.union_all([shapely.MultiPoint(shadow).convex_hull for shadow in shadows])
