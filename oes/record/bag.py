@@ -1,8 +1,8 @@
 """The container: an MCAP file read under distrust.
 
 The mcap package's readers check neither the summary's checksum nor, before they allocate, any size; a flipped
-bit in one zstd frame header is then worth gigabytes. So here every length is compared with the
-bytes that exist and with a cap, every checksum is verified, and only then does mcap parse records.
+bit in one zstd frame header is then worth gigabytes. So here every length is compared with the bytes that exist and
+with a cap, every checksum is verified, and only then does mcap parse records.
 """
 
 import struct
@@ -112,6 +112,8 @@ class Bag:
             raise ValueError("no footer")
         footer = Footer.read(ReadDataStream(BytesIO(body)))
         start, length = footer.summary_start, self._size - TAIL_BYTES - footer.summary_start
+        if footer.summary_start == 0 or footer.summary_crc == 0:
+            raise ValueError("no summary with a checksum: another program wrote this file")
         summary = self._read(start, length)
         if zlib.crc32(tail[:FOOTER_CRC_AT], zlib.crc32(summary)) != footer.summary_crc:
             raise ValueError("checksum of the summary differs")

@@ -29,7 +29,15 @@ def write_episode(episode: Episode, frames: Iterable[Frames], folder: Path) -> N
     aside = folder.parent / f".{folder.name}.tmp"
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)
-    bag_name = f"{folder.name}{MCAP_SUFFIX}"
+    try:
+        _write_bag(episode, frames, names, aside, f"{folder.name}{MCAP_SUFFIX}")
+        os.replace(aside, folder)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _write_bag(episode: Episode, frames: Iterable[Frames], names: tuple[str, ...], aside: Path, bag_name: str) -> None:
+    """The two files of a rosbag2 directory: states first, then what viewers draw, then images state by state."""
     with (aside / bag_name).open("wb") as file:
         writer = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
         bag = _BagWriter(writer, {topic: topic_type(topic) for topic in topics_of(names)})
@@ -39,7 +47,6 @@ def write_episode(episode: Episode, frames: Iterable[Frames], folder: Path) -> N
             bag.add(image_messages(step, step_frames))
         contents = bag.finish()
     (aside / "metadata.yaml").write_text(metadata_text(bag_name, contents), encoding="utf-8")
-    os.replace(aside, folder)
 
 
 class _BagWriter:

@@ -30,6 +30,14 @@ class Split:
 
 
 @params
+class Sheets:
+    """The pages about a split: which camera its pictures come from, how many episodes get a contact sheet."""
+
+    camera: int
+    count: int
+
+
+@params
 class Episodes:
     """The section ``episodes`` of params.yaml."""
 
@@ -38,6 +46,7 @@ class Episodes:
     sim: Sim
     pushes: Pushes
     splits: dict[str, Split]
+    sheets: Sheets
 
 
 def simulate(catalogue: "Catalogue", cfg: Episodes, task: str, split: str, index: int) -> Episode:
