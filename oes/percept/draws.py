@@ -1,0 +1,174 @@
+"""The objects stage's work: perceive the first state of every episode under every setting, and score it at test.
+
+Views of test episodes are nested (two views are the one view and another), so that settings differ in nothing else.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+from tqdm import tqdm
+
+from oes.config import params
+from oes.percept.evaluate import Row, detection_rows, match, truth_of, view_row
+from oes.percept.network import Scene
+from oes.percept.perceiver import Perceiver
+from oes.percept.samples import Source
+from oes.percept.solids import Solids
+from oes.percept.store import Draw, joined, pack
+
+FIXED, TRUE, JITTERED, FOUND = "fixed", "true", "jittered", "found"
+SCORED_VIEWS = (1, 3)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How many random views (``FIXED``: the one nominal camera), and which boxes."""
+
+    views: int | str
+    boxes: str
+
+
+TRAIN_SETTINGS = {
+    "train1": Setting(1, JITTERED),
+    "train2": Setting(2, JITTERED),
+    "train3": Setting(3, JITTERED),
+    "fixed": Setting(FIXED, JITTERED),
+}
+TEST_SETTINGS = {
+    "3views_gt": Setting(3, TRUE),
+    "1view_gt": Setting(1, TRUE),
+    "1view_pred": Setting(1, FOUND),
+    "fixed_pred": Setting(FIXED, FOUND),
+    "2views_pred": Setting(2, FOUND),
+    "3views_pred": Setting(3, FOUND),
+    "5views_pred": Setting(5, FOUND),
+}
+
+
+@params
+class Draws:
+    """The section ``objects`` of params.yaml.
+
+    ``fixed_camera``: index of the camera of the fixed-view settings. Jitters are standard deviations of the true boxes
+    at training; ``train_draws``: how many sets of views an episode gets under each training setting.
+    """
+
+    seed: int
+    fixed_camera: int
+    center_jitter_m: float
+    size_jitter: float
+    train_draws: dict[str, int]
+    shard_episodes: int
+    num_solid_points: int
+
+    def __post_init__(self) -> None:
+        """Raises ValueError (a ParamsError when read from params.yaml) for an unknown or missing setting."""
+        if set(self.train_draws) != set(TRAIN_SETTINGS):
+            raise ValueError(
+                f"train_draws: expected exactly {', '.join(TRAIN_SETTINGS)}; found {dict(self.train_draws)}"
+            )
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Perceives the episodes of one split; ``solids`` scores the masks of a test split, None for training."""
+
+    cfg: Draws
+    perceiver: Perceiver
+    source: Source
+    solids: Solids | None
+
+    @property
+    def settings(self) -> dict[str, Setting]:
+        """Those of training or of testing."""
+        return TRAIN_SETTINGS if self.solids is None else TEST_SETTINGS
+
+    def episode(self, episode_i: int) -> tuple[list[Draw], list[Row], list[Row]]:
+        """Draws of one episode and, at test, the rows of detections.csv and views.csv."""
+        rng = np.random.default_rng((self.cfg.seed, episode_i))
+        draws: list[Draw] = []
+        detections: list[Row] = []
+        predictions: list[Row] = []
+        order = rng.permutation(len(self.source.episodes[episode_i].steps[0].cameras)).tolist()
+        for views, names in self._plan(order):
+            frames, cameras = self.source.read(episode_i, 0, views)
+            scene = self.perceiver.encode(frames, cameras)
+            for name in names:
+                centers, sizes, scores, gt_N = self._boxes(self.settings[name].boxes, scene, episode_i, rng)
+                objects = self.perceiver.objects(scene, centers, sizes, scores, frames, cameras)
+                draws.append(Draw(episode_i, name, tuple(views), objects, gt_N))
+            if self.solids is not None and self.settings[names[0]].views in SCORED_VIEWS:
+                seen: Row = {"episode": episode_i, "step": 0, "num_views": len(views)}
+                truth = truth_of(self.source.episodes[episode_i], 0, self.solids)
+                detections += [seen | row for row in detection_rows(self.perceiver, scene, truth)]
+                query_frames, (query,) = self.source.read(episode_i, 0, order[-1:])
+                row = view_row(self.perceiver, scene, query_frames, query)
+                predictions.append(seen | {"camera": order[-1]} | row)
+        return draws, detections, predictions
+
+    def _plan(self, order: Sequence[int]) -> Iterator[tuple[list[int], list[str]]]:
+        """The sets of views to encode, each with the settings that use it. ``order``: cameras, the last the query."""
+        if self.solids is None:
+            left = list(order)
+            for name, count in self.cfg.train_draws.items():
+                for _ in range(count):
+                    views = self._views(TRAIN_SETTINGS[name], left)
+                    left = [*left[len(views) :], *views]
+                    yield views, [name]
+            return
+        shared: dict[int | str, list[str]] = {}
+        for name, setting in TEST_SETTINGS.items():
+            shared.setdefault(setting.views, []).append(name)
+        for names in shared.values():
+            yield self._views(TEST_SETTINGS[names[0]], order), names
+
+    def _views(self, setting: Setting, order: Sequence[int]) -> list[int]:
+        return list(order[: setting.views]) if isinstance(setting.views, int) else [self.cfg.fixed_camera]
+
+    def _boxes(
+        self, boxes: str, scene: Scene, episode_i: int, rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor, Tensor, NDArray[np.int64]]:
+        """Centres N3, sizes N3, scores N and the true object of each (-1: none)."""
+        step = self.source.episodes[episode_i].steps[0]
+        if boxes == FOUND:
+            centers, sizes, scores = (value.float().cpu() for value in self.perceiver.detect(scene))
+            return centers, sizes, scores, match(centers.double().numpy(), step.center_N3)
+        center_N3, size_N3 = step.center_N3, step.size_N3
+        if boxes == JITTERED:
+            center_N3 = center_N3 + rng.normal(0, self.cfg.center_jitter_m, center_N3.shape)
+            size_N3 = size_N3 * np.exp(rng.normal(0, self.cfg.size_jitter, size_N3.shape))
+        count = len(center_N3)
+        centers, sizes = torch.from_numpy(center_N3).float(), torch.from_numpy(size_N3).float()
+        return centers, sizes, torch.ones(count), np.arange(count)
+
+
+def perceive_all(observer: Observer, progress: Path) -> tuple[dict[str, Tensor], list[Row], list[Row]]:
+    """All draws of a split, packed, and its rows. Finished shards of episodes are kept in ``progress`` and reused."""
+    count, side = len(observer.source.episodes), observer.cfg.shard_episodes
+    shards = [range(start, min(start + side, count)) for start in range(0, count, side)]
+    paths = [progress / f"shard_{episode_is.start:06d}.safetensors" for episode_is in shards]
+    for path, episode_is in zip(tqdm(paths, unit="shard", disable=None), shards, strict=True):
+        if not path.exists():
+            _write_shard(observer, episode_is, path)
+    rows = [json.loads(path.with_suffix(".json").read_text()) for path in paths]
+    tensors = joined([load_file(path) for path in paths])
+    return tensors, [row for detections, _ in rows for row in detections], [row for _, views in rows for row in views]
+
+
+def _write_shard(observer: Observer, episode_is: range, path: Path) -> None:
+    """One shard: the rows first, then the tensors, whole by rename: a shard with tensors is complete."""
+    found = [observer.episode(episode_i) for episode_i in episode_is]
+    rows = [[row for parts in found for row in parts[kind]] for kind in (1, 2)]
+    path.with_suffix(".json").write_text(json.dumps(rows))
+    draws = [draw for parts in found for draw in parts[0]]
+    most = max(setting.views for setting in observer.settings.values() if isinstance(setting.views, int))
+    part = path.with_suffix(".part")
+    save_file(pack(draws, list(observer.settings), most), part)
+    part.replace(path)

@@ -1,0 +1,136 @@
+"""How well a perceiver sees: rows of its detections and of its predicted views against the truth, and their summary."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from torch import Tensor
+from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
+
+from oes.episode import Camera, Episode, Floats, Frames
+from oes.geom.boxes import iou
+from oes.geom.voxels import Grid, voxelize
+from oes.measure import Boxes, average_precision
+from oes.percept.network import Scene
+from oes.percept.perceiver import Perceiver
+from oes.percept.solids import Solids
+
+MATCH_M = 0.06
+Row = dict[str, float | None]
+BOX_COLUMNS = ("x_m", "y_m", "z_m", "width_m", "depth_m", "height_m")
+DETECTION_COLUMNS = (
+    *("episode", "step", "num_views", "score", "iou", "centre_mm", "mask_iou"),
+    *BOX_COLUMNS,
+    *(f"true_{name}" for name in BOX_COLUMNS),
+)
+VIEW_COLUMNS = ("episode", "step", "num_views", "camera", "psnr_db", "ssim")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The true objects of one state: boxes (world axes) and points that fill each."""
+
+    center_N3: Floats
+    size_N3: Floats
+    solids: tuple[Floats, ...]
+
+
+def truth_of(episode: Episode, step_i: int, solids: Solids) -> Truth:
+    """The truth of one recorded state. Raises KeyError where the catalogue lacks a mesh."""
+    step = episode.steps[step_i]
+    posed = [solids.posed(body, pose) for body, pose in zip(episode.bodies, step.world_T_obj_N44, strict=True)]
+    return Truth(step.center_N3, step.size_N3, tuple(posed))
+
+
+def match(found_N3: Floats, true_M3: Floats) -> NDArray[np.int64]:
+    """For each found centre the true one it stands for (-1: none): least total distance, pairs within ``MATCH_M``."""
+    distance = np.linalg.norm(found_N3[:, None] - true_M3[None], axis=-1)
+    rows, columns = linear_sum_assignment(np.where(distance <= MATCH_M, distance, 1e3))
+    matched = np.full(len(found_N3), -1, dtype=np.int64)
+    near = distance[rows, columns] <= MATCH_M
+    matched[rows[near]] = columns[near]
+    return matched
+
+
+def mask_ious(mask_NXYZ: Tensor, centers_N3: Tensor, window: Grid, solids: Sequence[Floats]) -> Floats:
+    """IoU of each predicted mask (probabilities, in a window centred at the box) with the solid it stands for."""
+    points = [torch.from_numpy(solid).float() - center for solid, center in zip(solids, centers_N3, strict=True)]
+    true = voxelize(torch.stack(points), window) if points else mask_NXYZ > 1
+    guess = mask_NXYZ > 0.5
+    shared = (guess & true).flatten(1).sum(1)
+    return (shared / (guess | true).flatten(1).sum(1).clamp(min=1)).double().numpy()
+
+
+def detection_rows(perceiver: Perceiver, scene: Scene, truth: Truth) -> list[Row]:
+    """One row for every detection (matched or false) and for every missed object of one scene."""
+    centers, sizes, scores = (value.float().cpu() for value in perceiver.detect(scene))
+    gt_N = match(centers.double().numpy(), truth.center_N3)
+    hits = [i for i, true_i in enumerate(gt_N) if true_i >= 0]
+    mask = perceiver.crops(scene, centers[None, hits], sizes[None, hits])[0, :, 0].float().cpu()
+    masks = mask_ious(mask, centers[hits], perceiver.net.roi.window, [truth.solids[gt_N[i]] for i in hits])
+    mask_iou = dict(zip(hits, masks.tolist(), strict=True))
+    boxes = torch.cat([centers, sizes], dim=1).double().numpy()
+    true_boxes = np.concatenate([truth.center_N3, truth.size_N3], axis=1)
+    rows = [
+        _detection(boxes[i], float(scores[i]), true_boxes[true_i] if true_i >= 0 else None, mask_iou.get(i))
+        for i, true_i in enumerate(gt_N)
+    ]
+    missed = [true_i for true_i in range(len(true_boxes)) if true_i not in gt_N]
+    return rows + [_boxes_row(None, true_boxes[true_i]) for true_i in missed]
+
+
+def detector_figures(rows: Sequence[Row]) -> dict[str, float]:
+    """``ap_25``, ``ap_50``; means over matched detections of ``mask_iou`` and ``centre_mm`` (without any: 0 and NaN).
+
+    ``rows`` are those of ``detection_rows`` with a column ``episode`` that tells scenes apart.
+    """
+    found = [row for row in rows if row["x_m"] is not None]
+    true = [row for row in rows if row["true_x_m"] is not None]
+    scores = _column(found, "score")
+    boxes, true_boxes = _boxes(found, ""), _boxes(true, "true_")
+    matched = [row for row in found if row["true_x_m"] is not None]
+    return {
+        "ap_25": average_precision(boxes, scores, true_boxes, 0.25),
+        "ap_50": average_precision(boxes, scores, true_boxes, 0.5),
+        "mask_iou": float(np.mean(_column(matched, "mask_iou"))) if matched else 0.0,
+        "centre_mm": float(np.mean(_column(matched, "centre_mm"))) if matched else float("nan"),
+    }
+
+
+def view_row(perceiver: Perceiver, scene: Scene, frames: Frames, camera: Camera) -> Row:
+    """PSNR (dB) and SSIM of the view predicted for ``camera`` against the only image of ``frames``."""
+    guess, true = (
+        torch.from_numpy(np.array(image)).movedim(-1, 0)[None].float() / 255
+        for image in (perceiver.render(scene, camera), frames.rgb_VHW3[0])
+    )
+    ssim = structural_similarity_index_measure(guess, true, data_range=1.0)
+    assert isinstance(ssim, Tensor)
+    return {"psnr_db": float(peak_signal_noise_ratio(guess, true, data_range=1.0)), "ssim": float(ssim)}
+
+
+def _detection(box_6: Floats, score: float, true_6: Floats | None, mask_iou: float | None) -> Row:
+    row = _boxes_row(box_6, true_6) | {"score": score, "mask_iou": mask_iou}
+    if true_6 is None:
+        return row
+    overlap = float(iou(box_6[:3], box_6[3:], true_6[:3], true_6[3:]))
+    return row | {"iou": overlap, "centre_mm": float(np.linalg.norm(box_6[:3] - true_6[:3]) * 1e3)}
+
+
+def _boxes_row(box_6: Floats | None, true_6: Floats | None) -> Row:
+    row: Row = dict.fromkeys(("score", "iou", "centre_mm", "mask_iou"))
+    for prefix, values in (("", box_6), ("true_", true_6)):
+        for column_i, name in enumerate(BOX_COLUMNS):
+            row[prefix + name] = None if values is None else float(values[column_i])
+    return row
+
+
+def _boxes(rows: Sequence[Row], prefix: str) -> Boxes:
+    values = np.stack([_column(rows, prefix + name) for name in BOX_COLUMNS], axis=1)
+    return Boxes(_column(rows, "episode").astype(np.int64), values[:, :3], values[:, 3:])
+
+
+def _column(rows: Sequence[Row], name: str) -> Floats:
+    return np.array([np.nan if row[name] is None else row[name] for row in rows], dtype=np.float64)

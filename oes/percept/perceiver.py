@@ -1,0 +1,168 @@
+"""The trained network behind plain calls: images in, boxes, objects and predicted views out. And its file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from oes.config import ParamsError, from_json, to_json
+from oes.episode import Camera, Frames
+from oes.geom.camera import project
+from oes.geom.voxels import crop
+from oes.objects import Objects
+from oes.percept.blocks import half_precision
+from oes.percept.lift import Views, views_of
+from oes.percept.network import Network, PerceptionNet, Scene
+
+FORMAT = "oes-perception-1"
+IMAGE_PX = 32
+IMAGE_MARGIN = 1.15
+
+
+class CheckpointError(ValueError):
+    """A weights file that cannot be used; names the file and the reason."""
+
+
+class Perceiver:
+    """One network on one device, without gradients."""
+
+    def __init__(self, net: PerceptionNet, device: torch.device) -> None:
+        self.net, self.device = net.to(device).eval(), device
+
+    @classmethod
+    def load(cls, path: Path, device: torch.device | None = None) -> "Perceiver":
+        """Read what ``save`` wrote. Raises CheckpointError: missing, unreadable, foreign, or of another network."""
+        cfg, tensors = _read(path)
+        net = PerceptionNet(cfg)
+        try:
+            net.load_state_dict(tensors)
+        except RuntimeError as error:
+            raise CheckpointError(f"{path}: weights do not fit the stored config: {_first_line(error)}") from error
+        return cls(net, device or torch.device("cpu"))
+
+    def save(self, path: Path) -> None:
+        """Weights as safetensors, the config as JSON in its metadata."""
+        tensors = {name: value.cpu().contiguous() for name, value in self.net.state_dict().items()}
+        save_file(tensors, path, {"format": FORMAT, "config": to_json(self.net.cfg)})
+
+    @torch.inference_mode()
+    def encode(self, frames: Frames, cameras: Sequence[Camera]) -> Scene:
+        """The scene (B = 1) seen by one or more posed views, in any order. Raises ValueError without a view."""
+        return self.encode_views(views_of(frames, list(cameras)))
+
+    @torch.inference_mode()
+    def encode_views(self, views: Views) -> Scene:
+        """Several scenes at once, each seen by the same number of views."""
+        with half_precision(self.device):
+            return self.net.encode(views.to(self.device))
+
+    @torch.inference_mode()
+    def detect(self, scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
+        """Boxes of the objects of one scene: centres N3, sizes N3 (metres, world axes), scores N, best first."""
+        with half_precision(self.device):
+            return self.net.detect(scene)
+
+    @torch.inference_mode()
+    def crops(self, scene: Scene, centers_BN3: Tensor, sizes_BN3: Tensor) -> Tensor:
+        """Object crops BNCXYZ centred at the boxes: mask probability, then scene features multiplied by it."""
+        boxes = (centers_BN3.to(self.device), sizes_BN3.to(self.device))
+        if centers_BN3.numel() == 0:
+            channels = 1 + self.net.cfg.map_features
+            return centers_BN3.new_zeros(*centers_BN3.shape[:2], channels, *self.net.roi.window.shape)
+        with half_precision(self.device):
+            mask = self.net.regions(scene, boxes).mask_BKXYZ.sigmoid()[:, :, None]
+            scene_map = self.net.scene_map(scene.coarse_BCXYZ)
+        features = crop(scene_map, self.net.cfg.grid, boxes[0], self.net.roi.window)
+        return torch.cat([mask, features * mask], dim=2)
+
+    @torch.inference_mode()
+    def objects(
+        self,
+        scene: Scene,
+        centers_N3: Tensor,
+        sizes_N3: Tensor,
+        scores_N: Tensor,
+        frames: Frames,
+        cameras: Sequence[Camera],
+    ) -> Objects:
+        """Objects (unbatched, on the CPU) of one scene at the given boxes, true or detected; N may be 0."""
+        boxes = (centers_N3.float().cpu(), sizes_N3.float().cpu())
+        crops = self.crops(scene, boxes[0][None], boxes[1][None])[0].float().cpu()
+        return objects_of(boxes, scores_N.float().cpu(), crops, frames, cameras)
+
+    @torch.inference_mode()
+    def render(self, scene: Scene, camera: Camera) -> NDArray[np.uint8]:
+        """The image HW3 that the camera would see of one scene."""
+        K = torch.from_numpy(camera.K_33).float()[None].to(self.device)
+        world_T_cam = torch.from_numpy(camera.world_T_cam_44).float()[None].to(self.device)
+        with half_precision(self.device):
+            image = self.net.render(scene, K, world_T_cam, (camera.height_px, camera.width_px))[0]
+        return (image * 255).round().to(torch.uint8).cpu().numpy()
+
+
+def objects_of(
+    boxes: tuple[Tensor, Tensor], scores_N: Tensor, crop_NCXYZ: Tensor, frames: Frames, cameras: Sequence[Camera]
+) -> Objects:
+    """Put together what is known of N objects; ``boxes`` holds centres N3 and sizes N3."""
+    count = len(boxes[0])
+    rows = torch.from_numpy(np.stack([camera.world_T_cam_44[:3].reshape(12) for camera in cameras])).float()
+    return Objects(
+        center_N3=boxes[0],
+        size_N3=boxes[1],
+        score_N=scores_N,
+        valid_N=torch.ones(count, dtype=torch.bool),
+        crop_NCXYZ=crop_NCXYZ,
+        image_NV3HW=image_crops(boxes, frames, cameras),
+        camera_NV12=rows.expand(count, -1, -1).clone(),
+        view_NV=torch.ones(count, len(cameras), dtype=torch.bool),
+    )
+
+
+def image_crops(boxes: tuple[Tensor, Tensor], frames: Frames, cameras: Sequence[Camera]) -> Tensor:
+    """uint8 NV3HW: the square around each projected box, in every view; black outside the image."""
+    signs = torch.cartesian_prod(*[torch.tensor([-0.5, 0.5])] * 3)
+    corners = boxes[0][:, None] + boxes[1][:, None] * signs
+    per_view = [_image_crop(corners, rgb, camera) for rgb, camera in zip(frames.rgb_VHW3, cameras, strict=True)]
+    return torch.stack(per_view, dim=1)
+
+
+def _image_crop(corners_N83: Tensor, rgb_HW3: NDArray[np.uint8], camera: Camera) -> Tensor:
+    """uint8 N3HW from one view."""
+    count = len(corners_N83)
+    flat = corners_N83.reshape(-1, 3).double().numpy()
+    uv = torch.from_numpy(project(camera.K_33, camera.world_T_cam_44, flat)[0]).float().reshape(count, 8, 2)
+    low, high = uv.amin(1), uv.amax(1)
+    half = (high - low).amax(-1) / 2 * IMAGE_MARGIN
+    steps = (torch.arange(IMAGE_PX) + 0.5) / IMAGE_PX * 2 - 1
+    v, u = torch.meshgrid(steps, steps, indexing="ij")
+    pix = ((low + high) / 2)[:, None, None] + half[:, None, None, None] * torch.stack([u, v], dim=-1)
+    unit = pix / torch.tensor([camera.width_px, camera.height_px]) * 2 - 1
+    image = torch.from_numpy(np.ascontiguousarray(rgb_HW3)).movedim(-1, 0).float()
+    crops = F.grid_sample(image.expand(count, -1, -1, -1), unit, padding_mode="zeros", align_corners=False)
+    return crops.round().to(torch.uint8)
+
+
+def _read(path: Path) -> tuple[Network, dict[str, Tensor]]:
+    """Config and weights of a file of ours."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}
+    except (SafetensorError, OSError) as error:
+        raise CheckpointError(f"{path}: not a readable safetensors file: {_first_line(error)}") from error
+    if metadata.get("format") != FORMAT:
+        raise CheckpointError(f"{path}: format {metadata.get('format')!r}, expected {FORMAT!r}")
+    try:
+        return from_json(metadata.get("config", ""), Network, str(path)), tensors
+    except ParamsError as error:
+        raise CheckpointError(f"{path}: stored config is not of this version: {error}") from error
+
+
+def _first_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,92 @@
+"""Training perception on recorded episodes; the last ones are kept for validation."""
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from oes.config import params
+from oes.fit import Fit, fit
+from oes.percept.evaluate import Row, detection_rows, detector_figures, truth_of, view_row
+from oes.percept.losses import LOSS_TERMS, Batch, losses
+from oes.percept.network import Network, PerceptionNet
+from oes.percept.perceiver import Perceiver
+from oes.percept.samples import Sampler, Sampling, Source
+from oes.percept.solids import Solids
+
+
+@params
+class Perception:
+    """The section ``perception`` of params.yaml.
+
+    ``weights`` of the loss terms; ``num_proposals`` of the net's own boxes a scene train the second stage and
+    ``num_rendered`` scenes a batch the view decoder. ``num_solid_points`` describe each mesh. The last
+    ``validation_share`` of the episodes, at most ``num_validation`` of them, are never trained on.
+    """
+
+    network: Network
+    sampling: Sampling
+    weights: dict[str, float]
+    num_proposals: int
+    num_rendered: int
+    num_solid_points: int
+    validation_share: float
+    num_validation: int
+    fit: Fit
+
+    def __post_init__(self) -> None:
+        """Raises ValueError (a ParamsError when read from params.yaml) where the weights do not name the losses."""
+        if set(self.weights) != set(LOSS_TERMS):
+            raise ValueError(f"weights: expected exactly {', '.join(LOSS_TERMS)}; found {', '.join(self.weights)}")
+
+
+def train(
+    cfg: Perception, source: Source, solids: Solids, work: Path, device: torch.device
+) -> tuple[Perceiver, list[dict[str, float]]]:
+    """Train from scratch, or go on from the progress kept in ``work``. The perceiver, and the log's rows."""
+    count = len(source.episodes)
+    held_out = min(max(1, round(count * cfg.validation_share)), cfg.num_validation)
+    torch.manual_seed(cfg.fit.seed)
+    net = PerceptionNet(cfg.network)
+    sampler = Sampler(
+        cfg.sampling, cfg.fit.batch, cfg.fit.seed, cfg.network.grid, source, solids, range(max(1, count - held_out))
+    )
+    validate = partial(figures, source=source, solids=solids, episode_is=range(count - held_out, count), device=device)
+    rows = fit(net, sampler.batch_at, _Loss(cfg, device), cfg.weights, cfg.fit, work, device, validate)
+    return Perceiver(net, device), rows
+
+
+@dataclass(frozen=True)
+class _Loss:
+    """The loss of one batch, as ``fit`` calls it."""
+
+    cfg: Perception
+    device: torch.device
+
+    def __call__(self, net: nn.Module, batch: Batch) -> dict[str, Tensor]:
+        """Named terms."""
+        assert isinstance(net, PerceptionNet)
+        return losses(net, batch.to(self.device), self.cfg.num_proposals, self.cfg.num_rendered)
+
+
+def figures(
+    net: nn.Module, source: Source, solids: Solids, episode_is: range, device: torch.device
+) -> dict[str, float]:
+    """Detection and view prediction from one view of the first state of some episodes, as ``val_...``."""
+    assert isinstance(net, PerceptionNet)
+    perceiver = Perceiver(net, device)
+    rows: list[Row] = []
+    views: list[Row] = []
+    for episode_i in episode_is:
+        rng = np.random.default_rng(episode_i)
+        camera_i, query_i = rng.choice(len(source.episodes[episode_i].steps[0].cameras), 2, replace=False).tolist()
+        scene = perceiver.encode(*source.read(episode_i, 0, [camera_i]))
+        truth = truth_of(source.episodes[episode_i], 0, solids)
+        rows += [row | {"episode": episode_i} for row in detection_rows(perceiver, scene, truth)]
+        frames, (camera,) = source.read(episode_i, 0, [query_i])
+        views.append(view_row(perceiver, scene, frames, camera))
+    means = {name: float(np.mean([row[name] or 0.0 for row in views])) for name in views[0]}
+    return {f"val_{name}": value for name, value in (detector_figures(rows) | means).items()}

@@ -1,0 +1,42 @@
+"""objects: every episode's first state as perception sees it, under every setting; at test, scored too."""
+
+import csv
+import shutil
+from pathlib import Path
+
+import torch
+
+from oes.meshes.catalogue import load_catalogue
+from oes.percept.draws import Draws, Observer, perceive_all
+from oes.percept.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
+from oes.percept.perceiver import Perceiver
+from oes.percept.solids import solids_of
+from oes.percept.store import write_objects
+from oes.record.dataset import FrameSource
+from oes.stage import publish, run, work_dir
+
+
+def main(cfg: Draws, task: str, split: str, meshes: Path, episodes: Path, perception: Path, out: Path) -> None:
+    """Write ``objects.safetensors`` and, for test splits, ``detections.csv`` and ``views.csv`` to ``out``."""
+    is_train = split == "train"
+    with work_dir(out, (cfg, task, split, [meshes, episodes, perception])) as work:
+        progress = work / "progress"
+        progress.mkdir(exist_ok=True)
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        perceiver = Perceiver.load(perception / "perception.safetensors", device)
+        solids = None if is_train else solids_of(load_catalogue(meshes), cfg.num_solid_points)
+        observer = Observer(cfg, perceiver, FrameSource(episodes), solids)
+        tensors, detections, views = perceive_all(observer, progress)
+        write_objects(work / "objects.safetensors", tensors, list(observer.settings))
+        if not is_train:
+            for name, columns, rows in (("detections", DETECTION_COLUMNS, detections), ("views", VIEW_COLUMNS, views)):
+                with (work / f"{name}.csv").open("w", newline="") as file:
+                    writer = csv.DictWriter(file, columns, lineterminator="\n")
+                    writer.writeheader()
+                    writer.writerows(rows)
+        shutil.rmtree(progress)
+        publish(work, out)
+
+
+if __name__ == "__main__":
+    run(main)

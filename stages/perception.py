@@ -1,0 +1,34 @@
+"""perception: views to a 3D feature map, the objects in it and images of it, trained on all states of the episodes."""
+
+import csv
+import shutil
+from pathlib import Path
+
+import torch
+
+from oes.meshes.catalogue import load_catalogue
+from oes.percept.solids import solids_of
+from oes.percept.train import Perception, train
+from oes.record.dataset import FrameSource
+from oes.stage import publish, run, work_dir
+
+
+def main(cfg: Perception, meshes: Path, episodes: Path, out: Path) -> None:
+    """Write ``perception.safetensors`` (its config in the metadata) and ``log.csv`` to ``out``."""
+    with work_dir(out, (cfg, [meshes, episodes])) as work:
+        progress = work / "progress"
+        progress.mkdir(exist_ok=True)
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        solids = solids_of(load_catalogue(meshes), cfg.num_solid_points)
+        perceiver, log = train(cfg, FrameSource(episodes), solids, progress, device)
+        perceiver.save(work / "perception.safetensors")
+        with (work / "log.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(dict.fromkeys(name for row in log for name in row)), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(log)
+        shutil.rmtree(progress)
+        publish(work, out)
+
+
+if __name__ == "__main__":
+    run(main)

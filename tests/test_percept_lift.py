@@ -1,0 +1,73 @@
+"""The lift: a rendered box's surface stands where the box is, and the views' order does not matter."""
+
+import numpy as np
+import pytest
+import torch
+
+from oes.episode import Frames
+from oes.geom.voxels import centers
+from oes.percept.lift import Lift, Views, lift, views_of
+from oes.percept.samples import STILL, Sampler, random_motion
+from tests.percept_scenes import GRID, BoxWorld, box_solids, sampling
+
+CFG = Lift(truncation_m=0.03)
+
+
+def lifted(views: Views, points: torch.Tensor) -> torch.Tensor:
+    return lift(CFG, views, views.rgb_BVHW3, points)
+
+
+def test_points_in_front_on_and_behind_a_surface_are_told_apart() -> None:
+    world = BoxWorld(1)
+    step = world.episodes[0].steps[0]
+    views = views_of(*world.read(0, 0, [1]))
+    top = step.center_N3[0] + [0, 0, step.size_N3[0, 2] / 2]
+    eye = step.cameras[1].world_T_cam_44[:3, 3]
+    ray = (eye - top) / np.linalg.norm(eye - top)
+    points = torch.tensor(np.stack([top + 0.1 * ray, top, top - 0.045 * ray])).float()[None]
+    distance, near, free, unseen = lifted(views, points)[0, :, :4].unbind(-1)
+    assert distance[0] == 1 and free.tolist() == [1, 0, 0]
+    assert abs(float(distance[1])) < 0.25 and near[1] > 0.75
+    assert unseen.tolist() == [0, 0, 1]
+
+
+def test_surface_voxels_carry_the_colour_of_the_box() -> None:
+    world = BoxWorld(1)
+    episode = world.episodes[0]
+    color = np.random.default_rng(episode.bodies[0].texture_seed).integers(60, 255, 3) / 255
+    top = episode.steps[0].center_N3[0] + [0, 0, episode.steps[0].size_N3[0, 2] / 2]
+    found = lifted(views_of(*world.read(0, 0, [1, 2])), torch.tensor(top).float()[None, None])[0, 0]
+    np.testing.assert_allclose(found[4:] / found[1], color, atol=0.02)
+
+
+def test_the_order_of_views_does_not_matter_and_scenes_do_not_mix() -> None:
+    world = BoxWorld(2)
+    points = centers(GRID)[::3, ::3, ::3].reshape(1, -1, 3)
+    one, other = views_of(*world.read(0, 0, [0, 3, 5])), views_of(*world.read(0, 0, [5, 0, 3]))
+    torch.testing.assert_close(lifted(one, points), lifted(other, points), atol=1e-5, rtol=0)
+    second = views_of(*world.read(1, 0, [1, 2, 4]))
+    both = Views(**{name: torch.cat([getattr(one, name), getattr(second, name)]) for name in vars(one)})
+    together = lifted(both, points.expand(2, -1, -1))
+    torch.testing.assert_close(together[0], lifted(one, points)[0], atol=1e-5, rtol=0)
+    torch.testing.assert_close(together[1], lifted(second, points)[0], atol=1e-5, rtol=0)
+
+
+def test_a_moved_world_is_seen_as_the_same_world() -> None:
+    world, rng = BoxWorld(1), np.random.default_rng(3)
+    sampler = Sampler(sampling(), 1, 0, GRID, world, box_solids(), [0])
+    motion = random_motion(sampler.cfg, rng)
+    points = np.random.default_rng(0).uniform(-0.2, 0.2, (500, 3)) * [1, 1, 0.4] + [0, 0, 0.05]
+    still = sampler.sample(0, 0, [0, 2], STILL, rng).views
+    moved = sampler.sample(0, 0, [0, 2], motion, rng).views
+    scaled = Lift(truncation_m=CFG.truncation_m * motion.scale)
+    before = lift(CFG, still, still.rgb_BVHW3, torch.tensor(points).float()[None])
+    after = lift(scaled, moved, moved.rgb_BVHW3, torch.tensor(motion.points(points)).float()[None])
+    assert ((before - after).abs().amax(-1) < 1e-3).float().mean() > 0.98
+
+
+def test_images_without_their_cameras_are_refused() -> None:
+    frames, cameras = BoxWorld(1).read(0, 0, [0, 1])
+    with pytest.raises(ValueError, match="2 images for 1 cameras"):
+        views_of(frames, cameras[:1])
+    with pytest.raises(ValueError, match="at least one"):
+        views_of(Frames(frames.rgb_VHW3[:0], frames.depth_m_VHW[:0], frames.seg_VHW[:0]), ())

@@ -1,0 +1,130 @@
+"""The network as a whole: batches, empty scenes, files, and that it learns."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from oes.config import to_json
+from oes.episode import Frames
+from oes.percept.evaluate import detection_rows, detector_figures, truth_of
+from oes.percept.lift import Views, views_of
+from oes.percept.losses import LOSS_TERMS, losses
+from oes.percept.network import PerceptionNet
+from oes.percept.perceiver import CheckpointError, Perceiver
+from oes.percept.samples import Sampler
+from tests.percept_scenes import GRID, BoxWorld, box_solids, sampling, small_network
+
+CPU = torch.device("cpu")
+
+
+def perceiver(seed: int = 0) -> Perceiver:
+    torch.manual_seed(seed)
+    return Perceiver(PerceptionNet(small_network()), CPU)
+
+
+def test_a_batch_is_its_scenes_one_by_one() -> None:
+    world, net = BoxWorld(2), perceiver().net
+    scenes = [views_of(*world.read(i, 0, [1, 4])) for i in range(2)]
+    both = Views(**{name: torch.cat([getattr(views, name) for views in scenes]) for name in vars(scenes[0])})
+    boxes = torch.tensor([[[0.0, 0.1, 0.03]], [[0.05, -0.1, 0.03]]]), torch.full((2, 1, 3), 0.1)
+    with torch.no_grad():
+        together = net.encode(both)
+        masks = net.regions(together, boxes).mask_BKXYZ
+        for i, views in enumerate(scenes):
+            alone = net.encode(views)
+            torch.testing.assert_close(together.coarse_BCXYZ[i : i + 1], alone.coarse_BCXYZ, atol=1e-3, rtol=1e-3)
+            mask = net.regions(alone, (boxes[0][i : i + 1], boxes[1][i : i + 1])).mask_BKXYZ
+            torch.testing.assert_close(masks[i : i + 1], mask, atol=1e-3, rtol=1e-3)
+
+
+def test_a_scene_of_nothing_gives_no_objects() -> None:
+    world, seer = BoxWorld(1), perceiver()
+    frames, cameras = world.read(0, 0, [0, 1])
+    nothing = Frames(frames.rgb_VHW3 * 0, frames.depth_m_VHW * 0, frames.seg_VHW)
+    torch.nn.init.constant_(seer.net.roi.box[-1].bias, -9.0)
+    scene = seer.encode(nothing, cameras)
+    boxes = seer.detect(scene)
+    assert [len(value) for value in boxes] == [0, 0, 0]
+    objects = seer.objects(scene, *boxes, nothing, cameras)
+    assert objects.crop_NCXYZ.shape == (0, 5, 16, 16, 16) and objects.image_NV3HW.shape == (0, 2, 3, 32, 32)
+    rows = detection_rows(seer, scene, truth_of(world.episodes[0], 0, box_solids()))
+    assert len(rows) == len(world.episodes[0].bodies) and all(row["score"] is None for row in rows)
+    assert detector_figures([row | {"episode": 0} for row in rows])["ap_25"] == 0
+
+
+def test_objects_hold_masked_features_and_the_image_around_each_box() -> None:
+    world, seer = BoxWorld(1), perceiver()
+    step = world.episodes[0].steps[0]
+    frames, cameras = world.read(0, 0, [0, 3])
+    centers, sizes = torch.tensor(step.center_N3), torch.tensor(step.size_N3)
+    objects = seer.objects(seer.encode(frames, cameras), centers, sizes, torch.ones(len(centers)), frames, cameras)
+    mask = objects.crop_NCXYZ[:, :1]
+    assert 0 <= mask.min() and mask.max() <= 1
+    color = np.random.default_rng(world.episodes[0].bodies[0].texture_seed).integers(60, 255, 3)
+    np.testing.assert_allclose(objects.image_NV3HW[0, :, :, 16, 16], np.tile(color, (2, 1)), atol=1)
+    np.testing.assert_allclose(objects.camera_NV12[0, 1].reshape(3, 4), cameras[1].world_T_cam_44[:3], atol=1e-6)
+
+
+def test_weights_survive_their_file_and_views_are_predicted_from_any_camera(tmp_path: Path) -> None:
+    world, seer = BoxWorld(1), perceiver()
+    seer.save(tmp_path / "a.safetensors")
+    again = Perceiver.load(tmp_path / "a.safetensors")
+    frames, cameras = world.read(0, 0, [2])
+    image = seer.render(seer.encode(frames, cameras), world.episodes[0].steps[0].cameras[5])
+    assert image.shape == (64, 64, 3) and image.dtype == np.uint8
+    np.testing.assert_array_equal(
+        again.render(again.encode(frames, cameras), world.episodes[0].steps[0].cameras[5]), image
+    )
+
+
+def test_broken_and_foreign_weights_are_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "weights.safetensors"
+    with pytest.raises(CheckpointError, match=r"weights.safetensors: not a readable"):
+        Perceiver.load(path)
+    path.write_bytes(b"garbage")
+    with pytest.raises(CheckpointError, match="not a readable"):
+        Perceiver.load(path)
+    save_file({"a": torch.zeros(1)}, path)
+    with pytest.raises(CheckpointError, match="format None"):
+        Perceiver.load(path)
+    seer = perceiver()
+    seer.save(path)
+    tensors, config = load_file(path), to_json(small_network())
+    save_file(tensors, path, {"format": "oes-perception-1", "config": config.replace('"hidden":32', '"hidden":48')})
+    with pytest.raises(CheckpointError, match="do not fit the stored config"):
+        Perceiver.load(path)
+    save_file(tensors, path, {"format": "oes-perception-1", "config": config.replace("hidden", "width")})
+    with pytest.raises(CheckpointError, match="hidden: missing"):
+        Perceiver.load(path)
+
+
+def test_batches_depend_on_the_step_alone_and_never_ask_for_an_input_view() -> None:
+    sampler = Sampler(sampling(), 2, 0, GRID, BoxWorld(4), box_solids(), range(4))
+    once, twice, later = sampler.batch_at(5), sampler.batch_at(5), sampler.batch_at(6)
+    torch.testing.assert_close(once.views.depth_m_BVHW, twice.views.depth_m_BVHW)
+    torch.testing.assert_close(once.region_center_BN3, twice.region_center_BN3)
+    assert not torch.equal(once.query.rgb_BVHW3, later.query.rgb_BVHW3)
+    inputs, query = once.views.world_T_cam_BV44, once.query.world_T_cam_BV44
+    assert ((inputs - query).abs().flatten(2).amax(-1) > 1e-3).all()
+
+
+def test_training_on_one_scene_finds_its_objects() -> None:
+    torch.manual_seed(0)
+    net, world = PerceptionNet(small_network()), BoxWorld(1, seed=2)
+    sampler = Sampler(sampling(), 1, 0, GRID, world, box_solids(), [0])
+    batch = sampler.batch_at(0)
+    optimizer = torch.optim.Adam(net.parameters(), 3e-3)
+    history = []
+    for _ in range(60):
+        terms = losses(net, batch, num_proposals=1, num_rendered=1)
+        history.append({name: value.item() for name, value in terms.items()})
+        optimizer.zero_grad()
+        torch.stack(list(terms.values())).sum().backward()
+        optimizer.step()
+    first, last = history[0], history[-1]
+    assert sorted(first) == sorted(LOSS_TERMS)
+    for name in ("objectness", "box", "occupancy", "mask", "view"):
+        assert last[name] < 0.6 * first[name], (name, first[name], last[name])

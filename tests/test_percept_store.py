@@ -1,0 +1,118 @@
+"""The objects file, and the stage's work that fills it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from oes.objects import Objects
+from oes.percept.draws import TEST_SETTINGS, Draws, Observer, perceive_all
+from oes.percept.network import PerceptionNet
+from oes.percept.perceiver import Perceiver
+from oes.percept.store import Draw, ObjectsError, joined, pack, read_objects, write_objects
+from tests.percept_scenes import BoxWorld, box_solids, small_network
+
+CFG = Draws(
+    seed=0,
+    fixed_camera=2,
+    center_jitter_m=0.01,
+    size_jitter=0.1,
+    train_draws={"train1": 2, "train2": 1, "train3": 0, "fixed": 1},
+    shard_episodes=2,
+    num_solid_points=2048,
+)
+
+
+def random_objects(count: int, num_views: int) -> Objects:
+    return Objects(
+        center_N3=torch.rand(count, 3),
+        size_N3=torch.rand(count, 3),
+        score_N=torch.rand(count),
+        valid_N=torch.ones(count, dtype=torch.bool),
+        crop_NCXYZ=torch.rand(count, 3, 16, 16, 16).half().float(),
+        image_NV3HW=torch.randint(0, 255, (count, num_views, 3, 32, 32), dtype=torch.uint8),
+        camera_NV12=torch.rand(count, num_views, 12),
+        view_NV=torch.ones(count, num_views, dtype=torch.bool),
+    )
+
+
+def observer(world: BoxWorld, *, is_train: bool) -> Observer:
+    torch.manual_seed(0)
+    seer = Perceiver(PerceptionNet(small_network()), torch.device("cpu"))
+    return Observer(CFG, seer, world, None if is_train else box_solids())
+
+
+def test_draws_come_back_as_written_even_those_without_objects(tmp_path: Path) -> None:
+    draws = [
+        Draw(4, "b", (7, 3), random_objects(2, 2), np.array([1, -1])),
+        Draw(4, "a", (5,), random_objects(0, 1), np.zeros(0, dtype=np.int64)),
+        Draw(6, "b", (1,), random_objects(1, 1), np.array([0])),
+    ]
+    shards = [pack(draws[:2], ["a", "b"], 3), pack(draws[2:], ["a", "b"], 3)]
+    write_objects(tmp_path / "o.safetensors", joined(shards), ["a", "b"])
+    store = read_objects(tmp_path / "o.safetensors")
+    assert store.draws("b") == [0, 2] and store.draws("a") == [1] and len(store) == 3
+    assert [store.episode(i) for i in range(3)] == [4, 4, 6] and store.views(0) == (7, 3)
+    for draw_i, draw in enumerate(draws):
+        objects, gt_N = store.scene(draw_i)
+        num_views = len(draw.views)
+        assert gt_N.tolist() == draw.gt_N.tolist()
+        torch.testing.assert_close(objects.crop_NCXYZ, draw.objects.crop_NCXYZ)
+        torch.testing.assert_close(objects.image_NV3HW[:, :num_views], draw.objects.image_NV3HW)
+        assert objects.view_NV.sum() == len(draw.gt_N) * num_views and not objects.view_NV[:, num_views:].any()
+    with pytest.raises(ObjectsError, match="there are: a, b"):
+        store.draws("c")
+
+
+def test_files_that_are_no_objects_are_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "o.safetensors"
+    with pytest.raises(ObjectsError, match=r"o.safetensors: not a readable"):
+        read_objects(path)
+    save_file({"a": torch.zeros(1)}, path)
+    with pytest.raises(ObjectsError, match="not an objects file"):
+        read_objects(path)
+    tensors = pack([Draw(0, "a", (1,), random_objects(2, 1), np.array([0, 1]))], ["a"], 1)
+    write_objects(path, tensors | {"score_O": torch.zeros(1)}, ["a"])
+    with pytest.raises(ObjectsError, match="do not belong together"):
+        read_objects(path)
+
+
+def test_training_draws_are_the_true_boxes_jittered_from_views_of_their_own() -> None:
+    world = BoxWorld(1)
+    draws, detections, predictions = observer(world, is_train=True).episode(0)
+    true = world.episodes[0].steps[0].center_N3
+    assert [draw.setting for draw in draws] == ["train1", "train1", "train2", "fixed"]
+    assert draws[3].views == (2,) and draws[0].views != draws[1].views and len(set(draws[2].views)) == 2
+    for draw in draws:
+        shift = draw.objects.center_N3.numpy() - true
+        assert 0 < np.abs(shift).max() < 0.05 and draw.gt_N.tolist() == list(range(len(true)))
+    assert detections == [] and predictions == []
+
+
+def test_at_test_views_are_nested_and_every_object_is_accounted_for() -> None:
+    world = BoxWorld(1)
+    draws, detections, predictions = observer(world, is_train=False).episode(0)
+    views = {draw.setting: draw.views for draw in draws}
+    assert set(views) == set(TEST_SETTINGS)
+    assert views["1view_gt"] == views["1view_pred"] == views["5views_pred"][:1]
+    assert views["3views_gt"] == views["5views_pred"][:3]
+    exact = next(draw for draw in draws if draw.setting == "3views_gt").objects.center_N3
+    np.testing.assert_allclose(exact, world.episodes[0].steps[0].center_N3, atol=1e-6)
+    for num_views in (1, 3):
+        rows = [row for row in detections if row["num_views"] == num_views]
+        assert sum(row["true_x_m"] is not None for row in rows) == len(world.episodes[0].bodies)
+    assert [row["num_views"] for row in predictions] == [3, 1]
+    assert all(row["camera"] not in views["5views_pred"] for row in predictions)
+
+
+def test_finished_shards_are_not_perceived_again(tmp_path: Path) -> None:
+    whole = perceive_all(observer(BoxWorld(3), is_train=True), tmp_path)[0]
+    assert len(whole["episode_D"]) == 3 * 4 and set(whole["episode_D"].tolist()) == {0, 1, 2}
+    (tmp_path / "shard_000002.safetensors").unlink()
+    stamp = (tmp_path / "shard_000000.safetensors").stat().st_mtime_ns
+    again = perceive_all(observer(BoxWorld(3), is_train=True), tmp_path)[0]
+    assert (tmp_path / "shard_000000.safetensors").stat().st_mtime_ns == stamp
+    for name, value in whole.items():
+        torch.testing.assert_close(again[name], value, msg=name)
