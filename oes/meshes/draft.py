@@ -1,0 +1,90 @@
+"""A mesh on its way into the catalogue: brought to size, stood upright at rest, centred on its box."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from oes.config import params
+from oes.episode import Floats
+from oes.meshes.convex import Mass, fill, solid_mass
+
+UNTOUCHED_DEG = 0.5
+
+
+@params
+class Stand:
+    """What a mesh must satisfy as it stands: longest over shortest side, and the tilt to a stable pose."""
+
+    max_aspect: float
+    max_tilt_deg: float
+
+
+class Rejected(ValueError):
+    """A mesh that cannot be used; the message is the reason."""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A mesh with its convex parts, any size, z up. ``status`` tells what was done to it."""
+
+    id: str
+    category: str
+    source: str
+    status: str
+    visual: trimesh.Trimesh
+    parts: tuple[trimesh.Trimesh, ...]
+
+    def mapped(self, matrix_44: Floats) -> "Draft":
+        """The draft under a similarity transform."""
+        visual, *parts = [mesh.copy().apply_transform(matrix_44) for mesh in (self.visual, *self.parts)]
+        return Draft(self.id, self.category, self.source, self.status, visual, tuple(parts))
+
+
+def placed(draft: Draft, longest_m: float, cfg: Stand) -> tuple[Draft, Mass]:
+    """The draft in its obj frame: at rest, longest horizontal side ``longest_m``, origin at its box centre.
+
+    Raises Rejected when it encloses nothing, is too thin, or would tip over.
+    """
+    mass = draft_mass(draft)
+    if mass.volume_m3 < 1e-4 * float(np.prod(draft.visual.extents)):
+        raise Rejected("encloses no volume")
+    rest_44, tilt_deg = resting(draft.visual.convex_hull, mass.com_obj_3)
+    if tilt_deg > cfg.max_tilt_deg:
+        raise Rejected(f"tips over: the nearest stable pose is {tilt_deg:.0f} deg away, at most {cfg.max_tilt_deg:g}")
+    draft = draft.mapped(rest_44)
+    extents_3 = draft.visual.extents
+    aspect = extents_3.max() / extents_3.min()
+    if aspect > cfg.max_aspect:
+        raise Rejected(f"sides {aspect:.1f} to 1, at most {cfg.max_aspect:g}")
+    scale = longest_m / extents_3[:2].max()
+    matrix_44 = np.diag([scale, scale, scale, 1.0])
+    matrix_44[:3, 3] = -scale * draft.visual.bounds.mean(0)
+    draft = draft.mapped(matrix_44)
+    return draft, draft_mass(draft)
+
+
+def draft_mass(draft: Draft) -> Mass:
+    """From the visual surface when it bounds a plausible solid, else from the union of the parts."""
+    solid = fill(draft.parts)
+    if draft.visual.is_volume and 0.3 * solid.volume < draft.visual.volume < 1.05 * solid.volume:
+        return solid_mass(draft.visual)
+    return solid_mass(solid)
+
+
+def resting(hull: trimesh.Trimesh, com_3: Floats) -> tuple[Floats, float]:
+    """The smallest turn (4x4) that stands a hull on a facet below its centre of mass, and its angle in degrees.
+
+    A body rests on a facet if its centre of mass projects into it. Turns under half a degree are left out.
+    """
+    corner_F33 = hull.triangles
+    normal_F3 = hull.face_normals
+    foot_F3 = com_3 - ((com_3 - corner_F33[:, 0]) * normal_F3).sum(1, keepdims=True) * normal_F3
+    weights_F3 = trimesh.triangles.points_to_barycentric(corner_F33, foot_F3)  # type: ignore[no-untyped-call]
+    stable_F = (weights_F3 > -1e-6).all(1)
+    tilt_F = np.where(stable_F, np.degrees(np.arccos(np.clip(-normal_F3[:, 2], -1, 1))), np.inf)
+    facet_i = int(tilt_F.argmin())
+    if tilt_F[facet_i] < UNTOUCHED_DEG:
+        return np.eye(4), 0.0
+    turn_44 = trimesh.geometry.align_vectors(normal_F3[facet_i], [0, 0, -1])  # type: ignore[no-untyped-call]
+    return np.asarray(turn_44), float(tilt_F[facet_i])

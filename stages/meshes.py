@@ -1,0 +1,15 @@
+"""meshes: the catalogue of objects to push: generated or ingested, scaled, decomposed, split into train and test."""
+
+from pathlib import Path
+
+from oes.meshes.build import Meshes, build_catalogue
+from oes.stage import run
+
+
+def main(cfg: Meshes, out: Path) -> None:
+    """Write catalogue.csv, rejected.csv, contact_sheet.png and one folder a mesh."""
+    build_catalogue(cfg, out)
+
+
+if __name__ == "__main__":
+    run(main)

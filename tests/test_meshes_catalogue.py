@@ -1,0 +1,137 @@
+"""The catalogue as others see it: 31 meshes in their frame, a fixed stratified split, a folder that loads back."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from oes.config import ParamsError, from_json, load, to_json
+from oes.meshes.build import Meshes, build_catalogue
+from oes.meshes.catalogue import Catalogue, CatalogueError, assign_splits, load_catalogue
+from oes.meshes.convex import fill, inside
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def cfg() -> Meshes:
+    return replace(load(ROOT / "params.yaml", "meshes", Meshes), tile_px=48)
+
+
+@pytest.fixture(scope="module")
+def folder(cfg: Meshes, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("catalogue") / "meshes"
+    build_catalogue(cfg, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def catalogue(folder: Path) -> Catalogue:
+    return load_catalogue(folder)
+
+
+def test_the_paper_set_of_31_is_split_24_to_7_within_every_category(catalogue: Catalogue) -> None:
+    tally = {
+        category: tuple(sum(m.category == category for m in catalogue.split(split)) for split in ("train", "test"))
+        for category in ("mit_push", "camera", "mug", "bowl", "bed")
+    }
+    assert tally == {"mit_push": (8, 3), "camera": (4, 1), "mug": (4, 1), "bowl": (4, 1), "bed": (4, 1)}
+    held_out = {mesh.id[:8] for mesh in catalogue.split("test") if mesh.category == "mit_push"}
+    assert held_out == {"mit_rect", "mit_tri1", "mit_elli"} or len(held_out) == 3
+
+
+def test_the_split_of_a_mesh_does_not_depend_on_other_strata() -> None:
+    cups = [(f"mug_{i}", "mug") for i in range(5)]
+    alone = assign_splits(cups, 0.2, 0)
+    among = assign_splits([("bed_0", "bed"), *cups[::-1], ("bed_1", "bed")], 0.2, 0)
+    assert alone.items() <= among.items() and list(alone.values()).count("test") == 1
+    assert assign_splits([("only", "toy")], 0.2, 0) == {"only": "train"}
+    assert any(assign_splits(cups, 0.2, seed) != alone for seed in range(1, 9))
+
+
+def test_meshes_are_canonical_and_of_the_size_asked_for(catalogue: Catalogue, cfg: Meshes) -> None:
+    longest_m = [mesh.extents_m_3[:2].max() for mesh in catalogue.meshes.values()]
+    assert cfg.size.min_m <= min(longest_m) and max(longest_m) <= cfg.size.max_m + 1e-7
+    assert 0.07 < np.mean(longest_m) < 0.09
+    for mesh in catalogue.meshes.values():
+        np.testing.assert_allclose(mesh.visual.bounds.sum(0), 0, atol=1e-7)
+        np.testing.assert_allclose(mesh.visual.extents, mesh.extents_m_3, atol=1e-7)
+    heights_m = [mesh.extents_m_3[2] for mesh in catalogue.meshes.values() if mesh.category == "mit_push"]
+    assert cfg.size.plate_min_m <= min(heights_m) and max(heights_m) <= cfg.size.plate_max_m
+
+
+def test_written_meshes_stay_sound(catalogue: Catalogue, cfg: Meshes) -> None:
+    for mesh in catalogue.meshes.values():
+        assert mesh.visual.is_volume and mesh.visual.body_count == 1, mesh.id
+        assert len(mesh.parts) <= 64
+        assert mesh.volume_m3 == pytest.approx(mesh.visual.volume, rel=1e-5)
+        assert fill(mesh.parts).volume >= 0.99 * mesh.volume_m3
+        principal = np.sort(np.linalg.eigvalsh(mesh.inertia_obj_33))
+        assert principal[0] > 0 and principal[2] <= principal[0] + principal[1]
+
+
+def test_points_inside_the_mesh_are_inside_its_parts(catalogue: Catalogue) -> None:
+    mesh = catalogue.meshes["bed_2"]
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (20000, 3)) * mesh.extents_m_3
+    share = inside(mesh.parts, points).mean()
+    assert share * mesh.extents_m_3.prod() == pytest.approx(mesh.volume_m3, rel=0.04)
+
+
+def test_the_same_params_give_the_same_bytes(folder: Path, cfg: Meshes, tmp_path: Path) -> None:
+    build_catalogue(cfg, tmp_path / "again")
+    files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    assert files == sorted(p.relative_to(tmp_path / "again") for p in (tmp_path / "again").rglob("*") if p.is_file())
+    assert [f for f in files if (folder / f).read_bytes() != (tmp_path / "again" / f).read_bytes()] == []
+
+
+def test_the_table_and_the_picture_hold_every_mesh(folder: Path, catalogue: Catalogue) -> None:
+    with (folder / "catalogue.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["id"] for row in rows] == list(catalogue.meshes)
+    assert float(rows[0]["x_mm"]) == pytest.approx(catalogue.meshes["mit_rect1"].extents_m_3[0] * 1e3, abs=0.06)
+    assert (folder / "rejected.csv").read_text() == "source,category,reason\n"
+    picture = cv2.imread(str(folder / "contact_sheet.png"))
+    assert picture.shape[1] > 8 * 48 and picture.std() > 10
+
+
+def test_a_collision_file_has_one_group_a_part(catalogue: Catalogue) -> None:
+    mesh = catalogue.meshes["mug_1"]
+    assert mesh.collision_path.read_text().count("\no ") + 1 == len(mesh.parts) > 10
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        ("catalogue.csv", "not a catalogue of meshes"),
+        ("bed_1/mesh.json", "mesh.json"),
+        ("bed_1/visual.obj", "visual.obj: no meshes"),
+        ("mug_1/collision.obj", "collision.obj: no meshes"),
+    ],
+)
+def test_a_spoilt_catalogue_is_refused_by_name(spoil: str, message: str, cfg: Meshes, folder: Path) -> None:
+    path = folder / spoil
+    content = path.read_bytes()
+    try:
+        path.write_bytes(b"\xff" if spoil.endswith("csv") else b"{}")
+        with pytest.raises(CatalogueError, match=message):
+            load_catalogue(folder)
+    finally:
+        path.write_bytes(content)
+
+
+def test_a_folder_that_is_no_catalogue_and_an_empty_split_are_refused(tmp_path: Path, catalogue: Catalogue) -> None:
+    with pytest.raises(CatalogueError, match="not a catalogue"):
+        load_catalogue(tmp_path)
+    (tmp_path / "catalogue.csv").write_text("id,split\n../../etc,train\n")
+    with pytest.raises(CatalogueError, match="not a plain name"):
+        load_catalogue(tmp_path)
+    with pytest.raises(CatalogueError, match="no mesh in split 'validation'"):
+        catalogue.split("validation")
+
+
+def test_ill_params_are_refused(cfg: Meshes) -> None:
+    with pytest.raises(ParamsError, match="up is 'y' or 'z'"):
+        from_json(to_json(cfg).replace('"up":"z"', '"up":"x"'), Meshes)
