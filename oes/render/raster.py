@@ -10,16 +10,22 @@ Ints = NDArray[np.int32]
 
 NEAR_M = 0.01
 EDGE_SLACK = 1e-9  # barycentric; keeps a pixel centre that lies exactly on a shared edge from falling between
+BEHIND = -1  # cell of a vertex nearer than NEAR_M
 
 
 @compiled
-def project_vertices(vertices_P3: Floats, start_M: Ints, cam_T_mesh_M44: Floats, K_33: Floats) -> tuple[Floats, Floats]:
-    """Vertices in cam (P3, metres) and their pixels with inverse depth (P3: u, v, 1/z; zero where z < NEAR_M).
+def project_vertices(
+    vertices_P3: Floats, start_M: Ints, cam_T_mesh_M44: Floats, K_33: Floats, height: int, width: int
+) -> tuple[Floats, Floats, Ints]:
+    """Vertices in cam (P3, metres), in the image (P3: u - 1/2, v - 1/2, 1/z) and their cells (P2: column, row).
 
-    ``start_M`` (M + 1 entries) are the rows at which each mesh's vertices start.
+    ``start_M`` (M + 1 entries) are the rows at which each mesh's vertices start. A cell is the first pixel centre at or
+    beyond the vertex, clipped to 0..width and 0..height, so that a triangle whose cells all agree in column or in row
+    covers no pixel centre. A vertex nearer than ``NEAR_M`` has 1/z = 0 and the cell ``BEHIND``.
     """
     cam_P3 = np.empty_like(vertices_P3)
     pix_P3 = np.zeros_like(vertices_P3)
+    cell_P2 = np.full((len(vertices_P3), 2), BEHIND, dtype=np.int32)
     for mesh_i in range(len(start_M) - 1):
         T = cam_T_mesh_M44[mesh_i]
         for i in range(start_M[mesh_i], start_M[mesh_i + 1]):
@@ -30,81 +36,104 @@ def project_vertices(vertices_P3: Floats, start_M: Ints, cam_T_mesh_M44: Floats,
             cam_P3[i, 0], cam_P3[i, 1], cam_P3[i, 2] = cam_x, cam_y, cam_z
             if cam_z >= NEAR_M:
                 inverse = 1.0 / cam_z
-                pix_P3[i, 0] = (K_33[0, 0] * cam_x + K_33[0, 1] * cam_y) * inverse + K_33[0, 2]
-                pix_P3[i, 1] = K_33[1, 1] * cam_y * inverse + K_33[1, 2]
-                pix_P3[i, 2] = inverse
-    return cam_P3, pix_P3
+                u = (K_33[0, 0] * cam_x + K_33[0, 1] * cam_y) * inverse + K_33[0, 2] - 0.5
+                v = K_33[1, 1] * cam_y * inverse + K_33[1, 2] - 0.5
+                pix_P3[i, 0], pix_P3[i, 1], pix_P3[i, 2] = u, v, inverse
+                cell_P2[i, 0] = int(np.ceil(min(max(u, 0.0), float(width))))
+                cell_P2[i, 1] = int(np.ceil(min(max(v, 0.0), float(height))))
+    return cam_P3, pix_P3, cell_P2
 
 
 @compiled
-def fill_triangle(a_3: Floats, b_3: Floats, c_3: Floats, face_i: int, nearness_HW: Floats, face_HW: Ints) -> None:
-    """Draw one triangle that lies wholly before the camera, given as (u, v, 1/z); 1/z is affine in the image."""
-    height, width = face_HW.shape
-    left = max(0, int(np.ceil(min(a_3[0], b_3[0], c_3[0]) - 0.5)))
-    right = min(width - 1, int(np.floor(max(a_3[0], b_3[0], c_3[0]) - 0.5)))
-    if left > right:
-        return
-    top = max(0, int(np.ceil(min(a_3[1], b_3[1], c_3[1]) - 0.5)))
-    bottom = min(height - 1, int(np.floor(max(a_3[1], b_3[1], c_3[1]) - 0.5)))
-    area = (b_3[0] - a_3[0]) * (c_3[1] - a_3[1]) - (b_3[1] - a_3[1]) * (c_3[0] - a_3[0])
-    if top > bottom or area == 0.0:
-        return
-    a_du, a_dv = (b_3[1] - c_3[1]) / area, (c_3[0] - b_3[0]) / area
-    b_du, b_dv = (c_3[1] - a_3[1]) / area, (a_3[0] - c_3[0]) / area
-    for row in range(top, bottom + 1):
-        a_row = (row + 0.5 - c_3[1]) * a_dv
-        b_row = (row + 0.5 - c_3[1]) * b_dv
-        for column in range(left, right + 1):
-            a = (column + 0.5 - c_3[0]) * a_du + a_row
-            b = (column + 0.5 - c_3[0]) * b_du + b_row
-            c = 1.0 - a - b
-            if a >= -EDGE_SLACK and b >= -EDGE_SLACK and c >= -EDGE_SLACK:
-                nearness = a * a_3[2] + b * b_3[2] + c * c_3[2]
-                if nearness > nearness_HW[row, column]:
-                    nearness_HW[row, column] = nearness
-                    face_HW[row, column] = face_i
+def covering_faces(cell_P2: Ints, faces_F3: Ints) -> tuple[Ints, Ints]:
+    """Triangles whose box of pixels is not empty (most of a robot's or a mug's are smaller than a pixel).
+
+    Returns those wholly before the camera, and those that cross the near plane.
+    """
+    chosen_F = np.empty(len(faces_F3), dtype=np.int32)
+    crossing_F = np.empty(len(faces_F3), dtype=np.int32)
+    num_chosen = num_crossing = 0
+    for face_i in range(len(faces_F3)):
+        a, b, c = faces_F3[face_i, 0], faces_F3[face_i, 1], faces_F3[face_i, 2]
+        columns = (cell_P2[a, 0] ^ cell_P2[b, 0]) | (cell_P2[b, 0] ^ cell_P2[c, 0])
+        rows = (cell_P2[a, 1] ^ cell_P2[b, 1]) | (cell_P2[b, 1] ^ cell_P2[c, 1])
+        is_behind = (cell_P2[a, 0] | cell_P2[b, 0] | cell_P2[c, 0]) < 0
+        is_covering = (columns != 0) & (rows != 0)
+        chosen_F[num_chosen] = crossing_F[num_crossing] = face_i  # kept only if counted: no branch to mispredict
+        num_chosen += is_covering & (not is_behind)
+        num_crossing += is_covering & is_behind
+    return chosen_F[:num_chosen], crossing_F[:num_crossing]
+
+
+@compiled
+def fill_triangles(
+    pix_P3: Floats, cell_P2: Ints, faces_F3: Ints, chosen_F: Ints, nearness_HW: Floats, face_HW: Ints
+) -> None:
+    """Draw triangles that lie wholly before the camera; weights and 1/z are affine in the image."""
+    for face_i in chosen_F:
+        a_i, b_i, c_i = faces_F3[face_i, 0], faces_F3[face_i, 1], faces_F3[face_i, 2]
+        a_u, a_v, a_near = pix_P3[a_i, 0], pix_P3[a_i, 1], pix_P3[a_i, 2]
+        b_u, b_v, b_near = pix_P3[b_i, 0], pix_P3[b_i, 1], pix_P3[b_i, 2]
+        c_u, c_v, c_near = pix_P3[c_i, 0], pix_P3[c_i, 1], pix_P3[c_i, 2]
+        area = (b_u - a_u) * (c_v - a_v) - (b_v - a_v) * (c_u - a_u)
+        if area == 0.0:
+            continue
+        inverse = 1.0 / area
+        a_du, a_dv = (b_v - c_v) * inverse, (c_u - b_u) * inverse
+        b_du, b_dv = (c_v - a_v) * inverse, (a_u - c_u) * inverse
+        left = min(cell_P2[a_i, 0], cell_P2[b_i, 0], cell_P2[c_i, 0])
+        right = max(cell_P2[a_i, 0], cell_P2[b_i, 0], cell_P2[c_i, 0])
+        top = min(cell_P2[a_i, 1], cell_P2[b_i, 1], cell_P2[c_i, 1])
+        bottom = max(cell_P2[a_i, 1], cell_P2[b_i, 1], cell_P2[c_i, 1])
+        for row in range(top, bottom):
+            a_row, b_row = (row - c_v) * a_dv, (row - c_v) * b_dv
+            for column in range(left, right):
+                a = (column - c_u) * a_du + a_row
+                b = (column - c_u) * b_du + b_row
+                c = 1.0 - a - b
+                if min(a, b, c) >= -EDGE_SLACK:
+                    nearness = a * a_near + b * b_near + c * c_near
+                    if nearness > nearness_HW[row, column]:
+                        nearness_HW[row, column] = nearness
+                        face_HW[row, column] = face_i
 
 
 @compiled
 def fill_crossing(
-    a_3: Floats, b_3: Floats, c_3: Floats, K_33: Floats, face_i: int, nearness_HW: Floats, face_HW: Ints
+    cam_P3: Floats, K_33: Floats, faces_F3: Ints, face_i: int, nearness_HW: Floats, face_HW: Ints
 ) -> None:
-    """Draw one triangle that crosses the near plane, given in cam: every pixel's ray meets its plane or not."""
-    normal = np.cross(b_3 - a_3, c_3 - a_3)
-    offset = np.dot(normal, a_3)
-    if offset == 0.0:
-        return
-    to_a, to_b, to_c = np.cross(b_3, c_3) / offset, np.cross(c_3, a_3) / offset, np.cross(a_3, b_3) / offset
+    """Draw one triangle that crosses the near plane: every pixel's ray meets it or not."""
+    a_3, b_3, c_3 = cam_P3[faces_F3[face_i, 0]], cam_P3[faces_F3[face_i, 1]], cam_P3[faces_F3[face_i, 2]]
+    to_a, to_b, to_c = np.cross(b_3, c_3), np.cross(c_3, a_3), np.cross(a_3, b_3)
+    volume = np.dot(a_3, to_a)
+    if volume == 0.0:
+        return  # seen edge on
     for row in range(face_HW.shape[0]):
         y = (row + 0.5 - K_33[1, 2]) / K_33[1, 1]
         for column in range(face_HW.shape[1]):
             x = (column + 0.5 - K_33[0, 2] - K_33[0, 1] * y) / K_33[0, 0]
-            a = to_a[0] * x + to_a[1] * y + to_a[2]
-            b = to_b[0] * x + to_b[1] * y + to_b[2]
-            c = to_c[0] * x + to_c[1] * y + to_c[2]
+            a = (to_a[0] * x + to_a[1] * y + to_a[2]) / volume
+            b = (to_b[0] * x + to_b[1] * y + to_b[2]) / volume
+            c = (to_c[0] * x + to_c[1] * y + to_c[2]) / volume
             nearness = a + b + c
-            slack = -EDGE_SLACK * nearness
-            if 0.0 < nearness <= 1.0 / NEAR_M and a >= slack and b >= slack and c >= slack:
-                if nearness > nearness_HW[row, column]:
-                    nearness_HW[row, column] = nearness
-                    face_HW[row, column] = face_i
+            if min(a, b, c) >= -EDGE_SLACK * nearness and nearness_HW[row, column] < nearness <= 1.0 / NEAR_M:
+                nearness_HW[row, column] = nearness
+                face_HW[row, column] = face_i
 
 
 @compiled
 def rasterise(
-    cam_P3: Floats, pix_P3: Floats, faces_F3: Ints, K_33: Floats, height: int, width: int
+    vertices_P3: Floats, start_M: Ints, faces_F3: Ints, cam_T_mesh_M44: Floats, K_33: Floats, height: int, width: int
 ) -> tuple[Floats, Ints]:
     """1/z of the nearest surface at every pixel centre (HW, 0 = nothing) and its triangle (HW, -1 = nothing).
 
     Triangles are two-sided; what is nearer than ``NEAR_M`` is not drawn, and a triangle without area never is.
     """
+    cam_P3, pix_P3, cell_P2 = project_vertices(vertices_P3, start_M, cam_T_mesh_M44, K_33, height, width)
     nearness_HW = np.zeros((height, width))
     face_HW = np.full((height, width), -1, dtype=np.int32)
-    for face_i in range(len(faces_F3)):
-        a, b, c = faces_F3[face_i, 0], faces_F3[face_i, 1], faces_F3[face_i, 2]
-        num_near = (pix_P3[a, 2] == 0.0) + (pix_P3[b, 2] == 0.0) + (pix_P3[c, 2] == 0.0)
-        if num_near == 0:
-            fill_triangle(pix_P3[a], pix_P3[b], pix_P3[c], face_i, nearness_HW, face_HW)
-        elif num_near < 3:  # noqa: PLR2004
-            fill_crossing(cam_P3[a], cam_P3[b], cam_P3[c], K_33, face_i, nearness_HW, face_HW)
+    chosen_F, crossing_F = covering_faces(cell_P2, faces_F3)
+    fill_triangles(pix_P3, cell_P2, faces_F3, chosen_F, nearness_HW, face_HW)
+    for face_i in crossing_F:
+        fill_crossing(cam_P3, K_33, faces_F3, face_i, nearness_HW, face_HW)
     return nearness_HW, face_HW

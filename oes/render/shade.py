@@ -1,6 +1,4 @@
-"""Deferred shading: the colour of every pixel from the triangle it sees, compiled; background where it sees none."""
-
-from typing import NamedTuple
+"""Deferred shading: the colour of every pixel from the triangle it sees, compiled; a sky where it sees none."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,43 +9,39 @@ from oes.render.raster import Ints
 
 PLAIN, CHECKER, STRIPES, NOISE, GRADIENT, WOOD = 0, 1, 2, 3, 4, 5
 
-TO_LIGHT_3 = np.array([0.42, -0.38, 0.82])
-AMBIENT_SKY, AMBIENT_GROUND, DIFFUSE = 0.52, 0.30, 0.55
+TO_LAMP_3 = np.array([0.42, -0.38, 0.82])
+AMBIENT, SKY_LIGHT, LAMP_LIGHT = 0.41, 0.11, 0.55  # everywhere; more from above, less from below; from the lamp
 HORIZON_RGB_3, ZENITH_RGB_3 = np.array([0.90, 0.92, 0.94]), np.array([0.62, 0.70, 0.80])
-PLANK_M, GRID_M, LINE_M, GRAIN_M = 0.15, 0.10, 0.003, 0.012
-
-
-class Paint(NamedTuple):
-    """How M meshes and their F faces are coloured (see ``texture.Texture``, ``normals.normal_maps``)."""
-
-    mesh_F: Ints
-    normal_T_obj_F34: Floats
-    kind_M: Ints
-    rgb_M23: Floats
-    cell_m_M: Floats
-    cell_T_obj_M34: Floats
+LATTICE_SIZE = 4096
+LATTICE = np.random.default_rng(0).random(LATTICE_SIZE)
+PLANKS_PER_M, GRAINS_PER_M, GRAIN_ASPECT = 1 / 0.15, 1 / 0.012, 1 / 12
+GRID_M, LINE_M = 0.10, 0.003
 
 
 @compiled
 def lattice_value(x: int, y: int, z: int) -> float:
     """A fixed pseudo-random number in 0..1 at a lattice point."""
-    h = np.uint32(x) * np.uint32(0x8DA6B343) ^ np.uint32(y) * np.uint32(0xD8163841) ^ np.uint32(z) * np.uint32(0xCB1AB31F)
-    h = np.uint32((h ^ (h >> np.uint32(13))) * np.uint32(0x5BD1E995))
-    return float((h ^ (h >> np.uint32(15))) & np.uint32(0xFFFF)) / 65535.0
+    return LATTICE[((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (LATTICE_SIZE - 1)]
+
+
+@compiled
+def plane_noise(x: float, y: float, z: int) -> float:
+    """Smooth noise in 0..1 over x and y, another for every z: lattice values blended by smoothstep."""
+    i, j = int(np.floor(x)), int(np.floor(y))
+    u, v = x - i, y - j
+    u, v = u * u * (3 - 2 * u), v * v * (3 - 2 * v)
+    front = lattice_value(i, j, z) * (1 - u) + lattice_value(i + 1, j, z) * u
+    back = lattice_value(i, j + 1, z) * (1 - u) + lattice_value(i + 1, j + 1, z) * u
+    return front * (1 - v) + back * v
 
 
 @compiled
 def value_noise(x: float, y: float, z: float) -> float:
-    """Smooth noise in 0..1: lattice values blended by smoothstep."""
-    i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-    u, v, w = x - i, y - j, z - k
-    u, v, w = u * u * (3 - 2 * u), v * v * (3 - 2 * v), w * w * (3 - 2 * w)
-    total = 0.0
-    for corner in range(8):
-        right, back, up = corner & 1, (corner >> 1) & 1, corner >> 2
-        weight = (u if right else 1 - u) * (v if back else 1 - v) * (w if up else 1 - w)
-        total += weight * lattice_value(i + right, j + back, k + up)
-    return total
+    """Smooth noise in 0..1 over space."""
+    k = int(np.floor(z))
+    w = z - k
+    w = w * w * (3 - 2 * w)
+    return plane_noise(x, y, k) * (1 - w) + plane_noise(x, y, k + 1) * w
 
 
 @compiled
@@ -59,95 +53,136 @@ def soft_square(x: float, softness: float) -> float:
 
 
 @compiled
+def wood(x: float, y: float, pixel_m: float) -> float:
+    """The table: planks along x with a faint grain, and a thin grid every ``GRID_M``."""
+    plank = int(np.floor(y * PLANKS_PER_M))
+    tone = 0.35 * lattice_value(plank, 7, 7)
+    grain = 0.35 * plane_noise(x * (GRAINS_PER_M * GRAIN_ASPECT), y * GRAINS_PER_M, plank)
+    u, v = x * (1 / GRID_M), y * (1 / GRID_M)
+    to_line = min(abs(u - np.floor(u + 0.5)), abs(v - np.floor(v + 0.5))) * GRID_M
+    if to_line > LINE_M + 0.5 * pixel_m:
+        return tone + grain
+    cover = min(1.0, 0.5 + (LINE_M - to_line) / pixel_m) * min(1.0, 2 * LINE_M / pixel_m)
+    return tone + grain + 0.5 * cover
+
+
+@compiled
 def blend(kind: int, x: float, y: float, z: float, softness: float) -> float:
     """Share 0..1 of the second colour at a point in units of a cell; ``softness`` is a pixel's width in cells."""
-    if kind == CHECKER:
-        product = soft_square(x, softness) * soft_square(y, softness) * soft_square(z, softness)
-        return 0.5 + 0.5 * product
+    if kind == WOOD:
+        return wood(x, y, softness)
     if kind == STRIPES:
         return 0.5 + 0.5 * soft_square(x, softness)
+    if kind == CHECKER:
+        return 0.5 + 0.5 * soft_square(x, softness) * soft_square(y, softness) * soft_square(z, softness)
     if kind == NOISE:
         return max(0.0, min(1.0, 0.5 + 2.5 * (value_noise(x, y, z) - 0.5)))
     if kind == GRADIENT:
         return max(0.0, min(1.0, 0.5 + 0.5 * (x - 0.5)))
-    if kind == WOOD:
-        return wood(x, y, softness)
     return 0.0
 
 
 @compiled
-def wood(x: float, y: float, pixel_m: float) -> float:
-    """The table: planks along x with a faint grain, and a thin grid every ``GRID_M``."""
-    plank = np.floor(y / PLANK_M)
-    tone = 0.35 * lattice_value(int(plank), 7, 7)
-    grain = 0.35 * value_noise(x / (12 * GRAIN_M), y / GRAIN_M, plank)
-    to_line = min(abs(x / GRID_M - np.floor(x / GRID_M + 0.5)), abs(y / GRID_M - np.floor(y / GRID_M + 0.5))) * GRID_M
-    line = 0.5 * max(0.0, min(1.0, 0.5 + (LINE_M - to_line) / pixel_m)) * min(1.0, 2 * LINE_M / pixel_m)
-    return tone + grain + line
-
-
-@compiled
-def light(normal_x: float, normal_y: float, normal_z: float) -> float:
-    """Brightness of a surface by its unit normal in world: sky and ground ambient, and one lamp."""
-    cosine = normal_x * TO_LIGHT_3[0] + normal_y * TO_LIGHT_3[1] + normal_z * TO_LIGHT_3[2]
-    ambient = AMBIENT_GROUND + (AMBIENT_SKY - AMBIENT_GROUND) * (0.5 + 0.5 * normal_z)
-    return ambient + DIFFUSE * max(0.0, cosine)
-
-
-@compiled
-def shade(
-    nearness_HW: Floats, face_HW: Ints, obj_T_cam_M44: Floats, world_T_cam_44: Floats, K_33: Floats, paint: Paint
-) -> NDArray[np.uint8]:
-    """RGB (HW3) of every pixel, given its 1/z and triangle as ``raster.rasterise`` leaves them."""
-    height, width = face_HW.shape
-    rgb_HW3 = np.empty((height, width, 3), dtype=np.uint8)
-    C = world_T_cam_44
-    for row in range(height):
-        for column in range(width):
-            ray_y = (row + 0.5 - K_33[1, 2]) / K_33[1, 1]
-            ray_x = (column + 0.5 - K_33[0, 2] - K_33[0, 1] * ray_y) / K_33[0, 0]
-            face_i = face_HW[row, column]
-            if face_i < 0:
-                up = C[2, 0] * ray_x + C[2, 1] * ray_y + C[2, 2]
-                share = max(0.0, min(1.0, 0.5 + 0.5 * up / np.sqrt(ray_x * ray_x + ray_y * ray_y + 1.0)))
-                for i in range(3):
-                    rgb_HW3[row, column, i] = int(
-                        255.0 * (HORIZON_RGB_3[i] + share * (ZENITH_RGB_3[i] - HORIZON_RGB_3[i])) + 0.5
-                    )
-                continue
-            z = 1.0 / nearness_HW[row, column]
-            mesh_i = paint.mesh_F[face_i]
-            x, y, z_obj = moved(obj_T_cam_M44[mesh_i], ray_x * z, ray_y * z, z)
-            nx, ny, nz = moved(paint.normal_T_obj_F34[face_i], x, y, z_obj)
-            # obj_R_cam transposed takes the normal to cam, where it must point against the ray
-            T = obj_T_cam_M44[mesh_i]
-            cam_x = T[0, 0] * nx + T[1, 0] * ny + T[2, 0] * nz
-            cam_y = T[0, 1] * nx + T[1, 1] * ny + T[2, 1] * nz
-            cam_z = T[0, 2] * nx + T[1, 2] * ny + T[2, 2] * nz
-            scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
-            if cam_x * ray_x + cam_y * ray_y + cam_z > 0.0:
-                scale = -scale
-            brightness = light(
-                (C[0, 0] * cam_x + C[0, 1] * cam_y + C[0, 2] * cam_z) * scale,
-                (C[1, 0] * cam_x + C[1, 1] * cam_y + C[1, 2] * cam_z) * scale,
-                (C[2, 0] * cam_x + C[2, 1] * cam_y + C[2, 2] * cam_z) * scale,
-            )
-            share = 0.0
-            if paint.kind_M[mesh_i] != PLAIN:
-                u, v, w = moved(paint.cell_T_obj_M34[mesh_i], x, y, z_obj)
-                share = blend(paint.kind_M[mesh_i], u, v, w, z / (K_33[0, 0] * paint.cell_m_M[mesh_i]))
-            colours = paint.rgb_M23[mesh_i]
+def lights(world_T_obj_M44: Floats) -> Floats:
+    """The direction to the lamp (row 0) and up (row 1) in every mesh's frame (M23)."""
+    lights_M23 = np.empty((len(world_T_obj_M44), 2, 3))
+    for mesh_i in range(len(world_T_obj_M44)):
+        for axis in range(3):
+            lights_M23[mesh_i, 0, axis] = 0.0
             for i in range(3):
-                value = (colours[0, i] + share * (colours[1, i] - colours[0, i])) * brightness
-                rgb_HW3[row, column, i] = int(255.0 * min(1.0, value) + 0.5)
-    return rgb_HW3
+                lights_M23[mesh_i, 0, axis] += world_T_obj_M44[mesh_i, i, axis] * TO_LAMP_3[i]
+            lights_M23[mesh_i, 1, axis] = world_T_obj_M44[mesh_i, 2, axis]
+    return lights_M23
 
 
 @compiled
-def moved(T_34: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """A point under a 3x4 affine map."""
-    return (
-        T_34[0, 0] * x + T_34[0, 1] * y + T_34[0, 2] * z + T_34[0, 3],
-        T_34[1, 0] * x + T_34[1, 1] * y + T_34[1, 2] * z + T_34[1, 3],
-        T_34[2, 0] * x + T_34[2, 1] * y + T_34[2, 2] * z + T_34[2, 3],
-    )
+def lit_points(
+    depth_m_HW: Floats,
+    face_HW: Ints,
+    mesh_F: Ints,
+    normal_T_obj_F34: Floats,
+    obj_T_cam_M44: Floats,
+    lights_M23: Floats,
+    K_33: Floats,
+) -> Floats:
+    """The point that every pixel sees, in its mesh's own frame, and how brightly it is lit (HW4: x, y, z, brightness).
+
+    ``normal_T_obj_F34`` are ``normals.normal_maps``, ``lights_M23`` those of ``lights``; the seen side is lit.
+    """
+    height, width = face_HW.shape
+    lit_HW4 = np.empty((height, width, 4))
+    T, N, L = obj_T_cam_M44, normal_T_obj_F34, lights_M23
+    rays_per_px, skew = 1.0 / K_33[0, 0], K_33[0, 1]
+    for row in range(height):
+        ray_y = (row + 0.5 - K_33[1, 2]) / K_33[1, 1]
+        for column in range(width):
+            f = face_HW[row, column]
+            if f < 0:
+                continue
+            m, depth = mesh_F[f], depth_m_HW[row, column]
+            x_cam, y_cam = (column + 0.5 - K_33[0, 2] - skew * ray_y) * rays_per_px * depth, ray_y * depth
+            way_x = T[m, 0, 0] * x_cam + T[m, 0, 1] * y_cam + T[m, 0, 2] * depth
+            way_y = T[m, 1, 0] * x_cam + T[m, 1, 1] * y_cam + T[m, 1, 2] * depth
+            way_z = T[m, 2, 0] * x_cam + T[m, 2, 1] * y_cam + T[m, 2, 2] * depth
+            x, y, z = T[m, 0, 3] + way_x, T[m, 1, 3] + way_y, T[m, 2, 3] + way_z
+            nx = N[f, 0, 0] * x + N[f, 0, 1] * y + N[f, 0, 2] * z + N[f, 0, 3]
+            ny = N[f, 1, 0] * x + N[f, 1, 1] * y + N[f, 1, 2] * z + N[f, 1, 3]
+            nz = N[f, 2, 0] * x + N[f, 2, 1] * y + N[f, 2, 2] * z + N[f, 2, 3]
+            scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
+            if way_x * nx + way_y * ny + way_z * nz > 0.0:
+                scale = -scale
+            lamp = (L[m, 0, 0] * nx + L[m, 0, 1] * ny + L[m, 0, 2] * nz) * scale
+            up = (L[m, 1, 0] * nx + L[m, 1, 1] * ny + L[m, 1, 2] * nz) * scale
+            lit_HW4[row, column, 0], lit_HW4[row, column, 1], lit_HW4[row, column, 2] = x, y, z
+            lit_HW4[row, column, 3] = AMBIENT + SKY_LIGHT * up + LAMP_LIGHT * max(0.0, lamp)
+    return lit_HW4
+
+
+@compiled
+def colour(
+    lit_HW4: Floats,
+    pixel_m_HW: Floats,
+    mesh_HW: Ints,
+    kind_M: Ints,
+    rgb_M23: Floats,
+    cell_m_M: Floats,
+    cell_T_obj_M34: Floats,
+    rgb_HW3: NDArray[np.uint8],
+) -> None:
+    """Paint every pixel that sees a mesh (``mesh_HW`` >= 0) with that mesh's texture, as bright as it is lit."""
+    T, C = cell_T_obj_M34, rgb_M23
+    for row in range(mesh_HW.shape[0]):
+        for column in range(mesh_HW.shape[1]):
+            m = mesh_HW[row, column]
+            if m < 0:
+                continue
+            share = 0.0
+            if kind_M[m] != PLAIN:
+                x, y, z = lit_HW4[row, column, 0], lit_HW4[row, column, 1], lit_HW4[row, column, 2]
+                share = blend(
+                    kind_M[m],
+                    T[m, 0, 0] * x + T[m, 0, 1] * y + T[m, 0, 2] * z + T[m, 0, 3],
+                    T[m, 1, 0] * x + T[m, 1, 1] * y + T[m, 1, 2] * z + T[m, 1, 3],
+                    T[m, 2, 0] * x + T[m, 2, 1] * y + T[m, 2, 2] * z + T[m, 2, 3],
+                    pixel_m_HW[row, column] / cell_m_M[m],
+                )
+            bright = 255.0 * lit_HW4[row, column, 3]
+            for i in range(3):
+                value = (C[m, 0, i] + share * (C[m, 1, i] - C[m, 0, i])) * bright
+                rgb_HW3[row, column, i] = int(min(255.0, value) + 0.5)
+
+
+@compiled
+def sky(world_T_cam_44: Floats, K_33: Floats, height: int, width: int) -> NDArray[np.uint8]:
+    """RGB (HW3) of what lies behind everything: paler towards the horizon."""
+    rgb_HW3 = np.empty((height, width, 3), dtype=np.uint8)
+    for row in range(height):
+        ray_y = (row + 0.5 - K_33[1, 2]) / K_33[1, 1]
+        for column in range(width):
+            ray_x = (column + 0.5 - K_33[0, 2] - K_33[0, 1] * ray_y) / K_33[0, 0]
+            up = world_T_cam_44[2, 0] * ray_x + world_T_cam_44[2, 1] * ray_y + world_T_cam_44[2, 2]
+            share = max(0.0, min(1.0, 0.5 + 0.5 * up))
+            for i in range(3):
+                value = HORIZON_RGB_3[i] + share * (ZENITH_RGB_3[i] - HORIZON_RGB_3[i])
+                rgb_HW3[row, column, i] = int(255.0 * value + 0.5)
+    return rgb_HW3

@@ -1,8 +1,8 @@
 """The arm: closed-form inverse kinematics in its vertical plane, and position control with velocity feed-forward.
 
-The iiwa has seven joints; with the rod vertical and joints 3, 5 and 7 at rest, what is left is a planar arm that joint 1
-turns towards the tip. Its three angles follow from the law of cosines: exact, smooth along any path, and the same
-every time, which an iterative solver started from the last pose is not.
+The iiwa has seven joints; with the rod vertical and joints 3, 5 and 7 at rest, what is left is a planar arm that
+joint 1 turns towards the tip. Its three angles follow from the law of cosines: exact, smooth along any path, and the
+same every time, which an iterative solver started from the last pose is not.
 """
 
 import numpy as np

@@ -33,7 +33,8 @@ class Bodies:
 
 def draw_body(mesh: "Mesh", cfg: Bodies, rng: np.random.Generator) -> Body:
     """A body of this mesh with random size, mass, friction and texture (paper appendix B: textures)."""
-    mass, friction = np.array([cfg.mass_kg, cfg.friction]) * np.exp(rng.uniform(*np.log(cfg.vary), 2))
+    low, high = np.log(cfg.vary)
+    mass, friction = np.array([cfg.mass_kg, cfg.friction]) * np.exp(rng.uniform(low, high, 2))
     return Body(
         mesh=mesh.id,
         category=mesh.category,
@@ -76,6 +77,8 @@ def spawn(bullet: Bullet, mesh: "Mesh", body: Body, cfg: Bodies) -> int:
         spinningFriction=cfg.spinning_m,
         rollingFriction=cfg.rolling_m,
         restitution=0.0,
+        linearDamping=0.0,
+        angularDamping=0.0,
     )
     return int(body_id)
 

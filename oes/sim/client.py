@@ -7,6 +7,7 @@ import pybullet
 
 BulletError: type[Exception] = pybullet.error
 
+
 class Bullet:
     """``Bullet().stepSimulation()`` is ``pybullet.stepSimulation(physicsClientId=...)`` of its own server.
 

@@ -18,7 +18,6 @@ NUM_JOINTS = 7
 FLANGE_M = 0.045  # from the frame of link 7 to the face the rod is screwed to
 ROD_MASS_KG = 0.05
 ROD_RGB = (0.75, 0.1, 0.1)
-PEDESTAL_RGB = (0.3, 0.3, 0.32)
 
 
 @params
@@ -90,8 +89,8 @@ def _with_pedestal(
     vertices, faces, rgb = base
     block = trimesh.creation.box((cfg.pedestal_m, cfg.pedestal_m, cfg.base_m[2]))
     block.apply_translation(_pedestal_center(cfg))
-    both = trimesh.util.concatenate([trimesh.Trimesh(vertices, faces, process=False), block])
-    return _triangles(both, rgb)
+    faces = np.concatenate([faces, np.asarray(block.faces, np.int32) + len(vertices)])
+    return np.concatenate([vertices, block.vertices]), faces, rgb
 
 
 def _pedestal_center(cfg: Robot) -> list[float]:

@@ -101,9 +101,7 @@ def draw_meshes(meshes: Sequence["Mesh"], num_objects: int, rng: np.random.Gener
     return [meshes[i] for i in rng.choice(len(meshes), num_objects, replace=num_objects > len(meshes))]
 
 
-def scatter(
-    meshes: Sequence["Mesh"], bodies: Sequence[Body], cfg: Scatter, rng: np.random.Generator
-) -> Floats:
+def scatter(meshes: Sequence["Mesh"], bodies: Sequence[Body], cfg: Scatter, rng: np.random.Generator) -> Floats:
     """Upright poses N44 of bodies standing apart, anywhere on the table. Raises Rejected where they do not fit."""
     poses: list[Floats] = []
     outlines: list[shapely.Geometry] = []
@@ -143,9 +141,14 @@ def _direction(angle_rad: float) -> Floats:
 
 
 def _tip_start(
-    outline: shapely.Geometry, center_xy: Floats, forward: Floats, cfg: Pushes, rod_radius_m: float, rng: np.random.Generator
+    outline: shapely.Geometry,
+    center_xy: Floats,
+    forward: Floats,
+    cfg: Pushes,
+    rod_radius_m: float,
+    rng: np.random.Generator,
 ) -> Floats:
-    """Where a rod that comes along ``forward``, off the centre by a random aim, is a clearance away from the outline."""
+    """Where a rod coming along ``forward``, off the centre by a random aim, is a clearance away from the outline."""
     side = np.array([-forward[1], forward[0]])
     across = (shapely.get_coordinates(outline) - center_xy) @ side
     offset = rng.uniform(-cfg.aim, cfg.aim) * (across.max() - across.min()) / 2
@@ -157,7 +160,7 @@ def _tip_start(
     return np.asarray(line[int(np.argmax(is_near)) - 1])
 
 
-def _place_next(  # noqa: PLR0913
+def _place_next(
     mesh: "Mesh",
     body: Body,
     first_xy: Floats,

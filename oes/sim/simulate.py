@@ -100,9 +100,7 @@ def replay_bodies(catalogue: "Catalogue", cfg: Sim, episode: Episode, bodies: tu
     return replace(episode, bodies=bodies, steps=tuple(steps), rod_rms_m=_rms(squares))
 
 
-def _attempt(  # noqa: PLR0913
-    world: World, cfg: Episodes, task: str, split: str, index: int, seed: int
-) -> Episode:
+def _attempt(world: World, cfg: Episodes, task: str, split: str, index: int, seed: int) -> Episode:
     """One attempt, all of it drawn from ``seed``. Raises Rejected or ReachError."""
     rng, camera_rng = (np.random.default_rng([seed, stream]) for stream in range(2))
     counts = cfg.splits[split]
@@ -136,7 +134,7 @@ def settle(world: World, bodies: tuple[Body, ...], world_T_obj_N44: Floats, cfg:
 def tilt_deg(world_T_obj_N44: Floats, start_N44: Floats) -> Floats:
     """Angle N between each object's vertical at the start and where that axis points now."""
     cosine = (world_T_obj_N44[:, :3, 2] * start_N44[:, :3, 2]).sum(axis=1)
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def _record(world: World, step_i: int, cameras: tuple[Camera, ...]) -> Step:

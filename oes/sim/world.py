@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 GRAVITY_M_S2 = 9.81
 NS_PER_MS = 1_000_000
 TABLE, ROBOT, FIRST_OBJECT = 0, 1, 2  # the order of Step.touched_MM
-LINEAR_DAMPING = ANGULAR_DAMPING = 0.0
 
 
 @params
@@ -70,7 +69,9 @@ class World:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._bullet.disconnect()
         self._folder.cleanup()
 
@@ -89,9 +90,8 @@ class World:
             self._ids.append(spawn(self._bullet, mesh, body, self.cfg.bodies))
             self._obj_T_com.append(mass_frame(mesh, body.scale_3, body.mass_kg)[0])
             set_pose(self._bullet, self._ids[-1], world_T_obj, self._obj_T_com[-1])
-            self._bullet.changeDynamics(
-                self._ids[-1], -1, linearDamping=LINEAR_DAMPING, angularDamping=ANGULAR_DAMPING
-            )
+        self._placed = np.array(world_T_obj_N44, dtype=float).reshape(-1, 4, 4), tip_world_3
+        self._is_fresh = True
         self._thing_of = {body_id: thing_i for thing_i, body_id in enumerate(self._ids)}
         self.clear_contacts()
 
@@ -118,7 +118,12 @@ class World:
         return np.array(errors)
 
     def poses(self) -> Floats:
-        """``world_T_obj_N44`` now."""
+        """``world_T_obj_N44`` now; until time passes, exactly the poses given to ``reset``.
+
+        Exactly, because contact amplifies the last bit of a start: an episode could not be replayed otherwise.
+        """
+        if self._is_fresh:
+            return self._placed[0]
         poses = [
             get_pose(self._bullet, body_id, obj_T_com)
             for body_id, obj_T_com in zip(self._ids[FIRST_OBJECT:], self._obj_T_com, strict=True)
@@ -141,7 +146,7 @@ class World:
             world_T_obj_N44=poses,
             center_N3=np.array([center for center, _ in boxes]).reshape(-1, 3),
             size_N3=np.array([size for _, size in boxes]).reshape(-1, 3),
-            tip_world_3=self.arm.tip(),
+            tip_world_3=self._tip(),
             joints_rad_J=self.arm.joints(),
             world_T_link_L44=self.arm.world_T_link(),
             touched_MM=self.touched(),
@@ -152,7 +157,11 @@ class World:
         """MM: which of table, robot and objects touched which since the last ``clear_contacts``."""
         return self._touched.copy()
 
+    def _tip(self) -> Floats:
+        return self._placed[1] if self._is_fresh and self._placed[1] is not None else self.arm.tip()
+
     def _advance(self) -> None:
+        self._is_fresh = False
         self._bullet.stepSimulation()
         for contact in self._bullet.getContactPoints():
             if contact[9] > 0.0:  # normal force: a pair can be listed while still apart
