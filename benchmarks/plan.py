@@ -1,0 +1,68 @@
+"""Milliseconds to imagine a set of plans with each model, from appearance on: 30 plans of 1 step, 60 of 10 steps."""
+
+import argparse
+import time
+from pathlib import Path
+
+import torch
+
+from oes.config import load
+from oes.dynamics import MODELS
+from oes.dynamics.models import Learned, Seen
+from oes.dynamics.train import Dynamics
+from oes.dynamics.unroll import Model, at_rest, unroll_from
+from oes.objects import Objects
+
+PLANS = ((30, 1), (60, 10))
+NUM_OBJECTS = 2
+REPEATS = 50
+SEEN = Seen(crop_channels=33, crop_side=16, image_side_px=32)
+
+
+def scene(seen: Seen) -> Objects:
+    """One scene of two objects and one view."""
+    shape = (1, NUM_OBJECTS)
+    return Objects(
+        center_N3=torch.rand(*shape, 3) * 0.2,
+        size_N3=torch.full((*shape, 3), 0.08),
+        score_N=torch.ones(shape),
+        valid_N=torch.ones(shape, dtype=torch.bool),
+        crop_NCXYZ=torch.rand(*shape, seen.crop_channels, *[seen.crop_side] * 3),
+        image_NV3HW=torch.zeros(*shape, 1, 3, seen.image_side_px, seen.image_side_px, dtype=torch.uint8),
+        camera_NV12=torch.zeros(*shape, 1, 12),
+        view_NV=torch.ones(*shape, 1, dtype=torch.bool),
+    )
+
+
+@torch.inference_mode()
+def plan_ms(model: Model, objects: Objects, samples: int, horizon: int) -> float:
+    """Median time to read the appearance once and unroll ``samples`` sequences of ``horizon`` actions."""
+    actions = torch.randn(samples, horizon, 3) * 0.04
+    tip, times = torch.zeros(samples, 3), []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        appearance = model.appearance(objects)
+        state = at_rest(*(x.expand(samples, *x.shape[1:]) for x in (objects.center_N3, objects.valid_N)))
+        unroll_from(model, appearance.expand(samples, *appearance.shape[1:]), state, tip, actions)
+        times.append((time.perf_counter() - start) * 1e3)
+    return sorted(times)[REPEATS // 2]
+
+
+def main() -> None:
+    """Print one line a model."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--params", type=Path, default=Path("params.yaml"))
+    cfg = load(parser.parse_args().params, "dynamics", Dynamics)
+    torch.manual_seed(0)
+    objects = scene(SEEN)
+    print(
+        f"{'model':<24}" + "".join(f"{f'{s}x{h} ms':>12}" for s, h in PLANS) + f"   ({torch.get_num_threads()} threads)"
+    )
+    for word, kind in MODELS.items():
+        if issubclass(kind, Learned):
+            model = kind(cfg.net, SEEN).eval()
+            print(f"{word:<24}" + "".join(f"{plan_ms(model, objects, s, h):>12.1f}" for s, h in PLANS))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Trained models on disk: ``model.safetensors`` with the model's word and its config as JSON metadata."""
+
+import os
+from pathlib import Path
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from oes.config import from_json, to_json
+from oes.dynamics import MODELS
+from oes.dynamics.bounds import Simulator
+from oes.dynamics.models import Learned, Net, Seen
+from oes.dynamics.unroll import Model
+
+FILE = "model.safetensors"
+FORMAT = "oes-dynamics-1"
+
+
+class CheckpointError(ValueError):
+    """A file that does not hold the model it should; the message names it and says what it holds."""
+
+
+def save_model(folder: Path, model: nn.Module) -> None:
+    """Write a model of ``MODELS``; the file appears whole."""
+    word = next(word for word, kind in MODELS.items() if type(model) is kind)
+    about = {"format": FORMAT, "model": word}
+    if isinstance(model, Learned):
+        about |= {"net": to_json(model.net), "seen": to_json(model.seen)}
+    part = folder / f"{FILE}.part"
+    save_file({name: value.contiguous() for name, value in model.state_dict().items()}, part, about)
+    os.replace(part, folder / FILE)
+
+
+def load_model(folder: Path) -> Model:
+    """The forecaster in ``folder``, ready to use (eval mode).
+
+    Raises FileNotFoundError, and CheckpointError for a file that is broken, foreign, of another shape than its own
+    config says, or not a forecaster (the simulator). A config that does not fit raises ParamsError.
+    """
+    model = load(folder)
+    if not isinstance(model, Model):
+        raise CheckpointError(f"{folder / FILE}: holds a {type(model).__name__}, which is not a forecaster")
+    return model
+
+
+def load(folder: Path) -> Model | Simulator:
+    """Whatever model is in ``folder``. Raises as ``load_model``."""
+    path = folder / FILE
+    about, tensors = _read(path)
+    if about.get("format") != FORMAT:
+        raise CheckpointError(f"{path}: not a dynamics model (format {about.get('format')!r}, wanted {FORMAT!r})")
+    if about.get("model") not in MODELS:
+        raise CheckpointError(f"{path}: unknown model {about.get('model')!r}; there are: {', '.join(MODELS)}")
+    kind = MODELS[about["model"]]
+    model: nn.Module
+    if issubclass(kind, Learned):
+        net = from_json(about.get("net", "null"), Net, f"{path}: net")
+        model = kind(net, from_json(about.get("seen", "null"), Seen, f"{path}: seen"))
+    else:
+        model = kind()
+    try:
+        model.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise CheckpointError(f"{path}: its weights do not fit its config: {error}") from error
+    assert isinstance(model, Model | Simulator)
+    return model.eval().requires_grad_(False)
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Metadata and tensors of a safetensors file."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such model")
+    try:
+        with safe_open(path, framework="pt") as file:
+            return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}
+    except SafetensorError as error:
+        raise CheckpointError(f"{path}: not a readable safetensors file: {error}") from error

@@ -1,0 +1,130 @@
+"""The object graph network that every learned dynamics model shares (paper section 3.2, appendix C.1)."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import roma
+import torch
+from torch import Tensor, nn
+
+from oes.config import params
+
+
+@params
+class Graph:
+    """Width and depth of each MLP, rounds of message passing, and the length that counts as 1 inside the network."""
+
+    width: int
+    layers: int
+    rounds: int
+    unit_m: float
+
+
+@dataclass(frozen=True)
+class ObjectState:
+    """Where N objects are after some steps; frames are world, lengths metres.
+
+    ``center_BN3`` is the reference point (the box centre at t = 0, carried along), ``velocity_BN3`` its last
+    displacement, ``moved_BN3`` its displacement since t = 0, ``turned_BN33`` the rotation since t = 0.
+    """
+
+    center_BN3: Tensor
+    velocity_BN3: Tensor
+    moved_BN3: Tensor
+    turned_BN33: Tensor
+    valid_BN: Tensor
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One step of every object: displacement of its reference point and rotation, both in world axes."""
+
+    dp_BN3: Tensor
+    dR_BN33: Tensor
+
+
+def mlp(inputs: int, width: int, layers: int) -> nn.Sequential:
+    """``layers`` linear layers of ``width``, each followed by a leaky ReLU; Xavier initialisation (appendix C.1)."""
+    modules: list[nn.Module] = []
+    for fan_in, fan_out in pairwise([inputs] + [width] * layers):
+        linear = nn.Linear(fan_in, fan_out)
+        nn.init.xavier_uniform_(linear.weight)
+        nn.init.zeros_(linear.bias)
+        modules += [linear, nn.LeakyReLU(0.01)]
+    return nn.Sequential(*modules)
+
+
+class GraphNet(nn.Module):
+    """Nodes are the objects and the end effector; edges run to every object from every other node.
+
+    Every vector is given in axes turned about the vertical so that the action points along x, and the outputs are
+    turned back: a scene and the same scene turned are one and the same to the network.
+    """
+
+    NODE_GEOMETRY = 10  # velocity, displacement since t = 0, height above the table, tilt
+    AGENT_GEOMETRY = 6  # the tip's position from the object, the action
+    EDGE_GEOMETRY = 3  # the sender's position from the receiver
+
+    def __init__(self, cfg: Graph, appearance: int) -> None:
+        super().__init__()
+        self.unit_m = cfg.unit_m
+        node = appearance + self.NODE_GEOMETRY
+        self.from_agent = mlp(node + self.AGENT_GEOMETRY, cfg.width, cfg.layers)
+        senders = [node] + [cfg.width] * (cfg.rounds - 1)
+        self.edges = nn.ModuleList(mlp(2 * size + self.EDGE_GEOMETRY, cfg.width, cfg.layers) for size in senders)
+        self.nodes = nn.ModuleList(mlp(node + 2 * cfg.width, cfg.width, cfg.layers) for _ in senders)
+        self.head = nn.Linear(cfg.width, 6)
+        nn.init.xavier_uniform_(self.head.weight, gain=0.1)
+        nn.init.zeros_(self.head.bias)
+
+    def forward(
+        self, appearance_BNC: Tensor, state: ObjectState, up_BN3: Tensor, tip_world_B3: Tensor, action_B3: Tensor
+    ) -> Motion:
+        """Motion of each object while the tip goes from ``tip_world_B3`` by ``action_B3`` (metres).
+
+        ``appearance_BNC`` is as seen in the action's axes; ``up_BN3`` is where each object's own vertical points.
+        """
+        axes_B33 = action_axes(action_B3)
+        node_BNC = self._node(appearance_BNC, state, up_BN3, axes_B33)
+        reach_BN23 = torch.stack(
+            [tip_world_B3[:, None] - state.center_BN3, action_B3[:, None].expand_as(state.center_BN3)], -2
+        )
+        reach_BN6 = (reach_BN23 @ axes_B33[:, None]).flatten(-2) / self.unit_m
+        pushed_BNC = self.from_agent(torch.cat([node_BNC, reach_BN6], -1))
+        apart_BNN3 = (state.center_BN3[:, None] - state.center_BN3[:, :, None]) @ axes_B33[:, None] / self.unit_m
+        others_BNN1 = _others(state.valid_BN)[..., None]
+        hidden_BNC = node_BNC
+        for edge, update in zip(self.edges, self.nodes, strict=True):
+            messages_BNNC = edge(_receiver_sender(hidden_BNC, apart_BNN3)) * others_BNN1
+            hidden_BNC = update(torch.cat([node_BNC, pushed_BNC, messages_BNNC.sum(2)], -1))
+        out_BN23 = self.head(hidden_BNC).reshape(*hidden_BNC.shape[:-1], 2, 3) @ axes_B33.mT[:, None]
+        return Motion(out_BN23[..., 0, :] * self.unit_m, roma.rotvec_to_rotmat(out_BN23[..., 1, :]))
+
+    def _node(self, appearance_BNC: Tensor, state: ObjectState, up_BN3: Tensor, axes_B33: Tensor) -> Tensor:
+        """What an object knows of itself: appearance, velocity, displacement, height, tilt."""
+        own_BN33 = torch.stack([state.velocity_BN3 / self.unit_m, state.moved_BN3 / self.unit_m, up_BN3], -2)
+        height_BN1 = state.center_BN3[..., 2:] / self.unit_m
+        return torch.cat([appearance_BNC, (own_BN33 @ axes_B33[:, None]).flatten(-2), height_BN1], -1)
+
+
+def action_axes(action_B3: Tensor) -> Tensor:
+    """``world_R_action`` B33: x along the horizontal action (the world's x where there is none), z up."""
+    angle_B = torch.atan2(action_B3[:, 1], action_B3[:, 0])
+    cos, sin, zero, one = angle_B.cos(), angle_B.sin(), torch.zeros_like(angle_B), torch.ones_like(angle_B)
+    return torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1).reshape(-1, 3, 3)
+
+
+def heading(R: Tensor) -> Tensor:
+    """The angle (radians) of the turn about the vertical that comes nearest to rotations ...33."""
+    return torch.atan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1])
+
+
+def _others(valid_BN: Tensor) -> Tensor:
+    """Which (receiver, sender) pairs exist, BNN: valid senders, none to itself."""
+    return valid_BN[:, None] & ~torch.eye(valid_BN.shape[1], dtype=torch.bool, device=valid_BN.device)
+
+
+def _receiver_sender(hidden_BNC: Tensor, geometry_BNNC: Tensor) -> Tensor:
+    """Inputs of the edge network: receiver's and sender's hidden state and the geometry of the pair."""
+    pairs = (*geometry_BNNC.shape[:-1], hidden_BNC.shape[-1])
+    return torch.cat([hidden_BNC[:, :, None].expand(pairs), hidden_BNC[:, None].expand(pairs), geometry_BNNC], -1)

@@ -1,0 +1,82 @@
+"""From perceived training scenes and what happened in them to a model of ``MODELS``."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from torch import Tensor, nn
+
+from oes.dynamics.bounds import Simulator
+from oes.dynamics.examples import Examples, examples
+from oes.dynamics.models import Learned, Seen
+from oes.dynamics.train import Dynamics, train
+from oes.episode import Episode
+from oes.objects import Objects
+
+Rows = list[dict[str, float]]
+
+
+class Scenes(Protocol):
+    """What training needs of the objects file (``oes.percept.store.ObjectStore``)."""
+
+    def draws(self, setting: str) -> list[int]:
+        """Numbers of the draws of one setting."""
+
+    def episode(self, draw_i: int) -> int:
+        """The number of the draw's episode."""
+
+    def scene(self, draw_i: int) -> tuple[Objects, Tensor]:
+        """The draw's objects and the true object of each (-1: none)."""
+
+
+def learn(
+    kind: type[nn.Module], cfg: Dynamics, scenes: Scenes, episodes: Mapping[int, Episode], work: Path
+) -> tuple[nn.Module, Rows]:
+    """Make a model of ``kind``: train what learns, measure what the simulator needs, and nothing for static.
+
+    ``episodes`` by their number; draws of an episode that is missing are left out. Returns the model and the rows of
+    its log. Progress is kept in ``work``.
+    """
+    if issubclass(kind, Learned):
+        seen, data = gather(kind, cfg, scenes, episodes)
+        torch.manual_seed(cfg.fit.seed)
+        learned = kind(cfg.net, seen)
+        return learned, train(learned, data, cfg, work)
+    model = kind()
+    if isinstance(model, Simulator):
+        model.measure(list(episodes.values()))
+    return model, []
+
+
+def gather(
+    kind: type[Learned], cfg: Dynamics, scenes: Scenes, episodes: Mapping[int, Episode]
+) -> tuple[Seen, Examples]:
+    """All draws that a kind of model learns from, with the sizes of what perception delivers.
+
+    Raises ValueError for a kind of views that ``cfg.draws`` does not name, and when no draw is left.
+    """
+    if kind.DRAWS not in cfg.draws:
+        raise ValueError(f"dynamics.draws has no {kind.DRAWS!r}; it has: {', '.join(cfg.draws)}")
+    draw_is = [i for setting in cfg.draws[kind.DRAWS] for i in scenes.draws(setting) if scenes.episode(i) in episodes]
+    found = [(*scenes.scene(i), scenes.episode(i)) for i in draw_is]
+    found = [(objects, truth, episode_i) for objects, truth, episode_i in found if len(truth)]
+    if not found:
+        raise ValueError(f"no object in any draw of {', '.join(cfg.draws[kind.DRAWS])}")
+    first = found[0][0]
+    seen = Seen(first.crop_NCXYZ.shape[1], first.crop_NCXYZ.shape[-1], first.image_NV3HW.shape[-1])
+    data = examples(
+        [(_needed(kind, cfg, objects), truth.tolist()) for objects, truth, _ in found],
+        [episodes[episode_i] for *_, episode_i in found],
+        [episode_i for *_, episode_i in found],
+        cfg.voxel_m,
+    )
+    return seen, data
+
+
+def _needed(kind: type[Learned], cfg: Dynamics, objects: Objects) -> Objects:
+    """Half-precision crops of the channels read, and images, only for those who look at them: all stays in memory."""
+    channels = cfg.net.crop.read if kind.READS_CROPS else 0
+    objects = replace(objects, crop_NCXYZ=objects.crop_NCXYZ[:, :channels].half())
+    return objects if kind.READS_IMAGES else replace(objects, image_NV3HW=objects.image_NV3HW[..., :1, :1].clone())

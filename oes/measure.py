@@ -1,0 +1,128 @@
+"""Errors and their statistics: numpy and scipy, no files. Every interval is at 95%."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from oes.episode import Floats
+from oes.geom.boxes import iou
+
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+LEVEL = 0.95
+RESAMPLES = 2000
+
+
+def translation_mm(found_m: Floats, true_m: Floats) -> Floats:
+    """Euclidean distance of points ...3 given in metres, in millimetres."""
+    return np.asarray(np.linalg.norm(found_m - true_m, axis=-1) * 1e3)
+
+
+def rotation_deg(found_33: Floats, true_33: Floats) -> Floats:
+    """Geodesic angle between rotation matrices ...33, degrees in [0, 180]; exact for small angles too."""
+    half_chord = np.linalg.norm(found_33 - true_33, axis=(-2, -1)) / 8**0.5
+    return np.asarray(np.degrees(2 * np.arcsin(np.clip(half_chord, 0, 1))))
+
+
+def bootstrap_mean(values: Floats, groups: Ints, seed: int) -> tuple[float, float, float]:
+    """Mean of ``values`` and its bootstrap 95% interval, as (mean, low, high).
+
+    Groups (episodes) are resampled, not values: objects of one episode are not independent. Raises ValueError when
+    there are no values.
+    """
+    sums_G, counts_G = _by_group(values, groups)
+    draws_RG = _draws(len(sums_G), seed)
+    return float(np.mean(values)), *_percentiles((draws_RG @ sums_G) / (draws_RG @ counts_G))
+
+
+def bootstrap_ratio(above: Floats, below: Floats, groups: Ints, seed: int) -> tuple[float, float, float]:
+    """mean(above) / mean(below) of paired values and its paired bootstrap 95% interval, as (ratio, low, high).
+
+    Groups are resampled, as in ``bootstrap_mean``. Raises ValueError for values that are not paired, or none.
+    """
+    if above.shape != below.shape:
+        raise ValueError(f"a ratio of paired values needs as many above as below, not {above.shape} and {below.shape}")
+    above_G, below_G = (_by_group(values, groups)[0] for values in (above, below))
+    draws_RG = _draws(len(above_G), seed)
+    return float(above.sum() / below.sum()), *_percentiles((draws_RG @ above_G) / (draws_RG @ below_G))
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's 95% score interval of a share of successes. Raises ValueError when there are no trials."""
+    if not 0 <= successes <= trials or trials == 0:
+        raise ValueError(f"{successes} successes of {trials} trials make no share")
+    found = stats.binomtest(successes, trials).proportion_ci(confidence_level=LEVEL, method="wilson")
+    return float(found.low), float(found.high)
+
+
+def mcnemar_exact(only_first: int, only_second: int) -> float:
+    """Two-sided p of paired successes: how likely so uneven a split of the discordant pairs is under a fair coin.
+
+    Also the exact sign test, of how often one of two paired values was the greater. 1 where no pair is discordant.
+    """
+    discordant = only_first + only_second
+    return float(stats.binomtest(only_first, discordant).pvalue) if discordant else 1.0
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Axis-aligned boxes of many scenes: which scene each is of, centre and size (metres)."""
+
+    scene_P: Ints
+    center_P3: Floats
+    size_P3: Floats
+
+
+def average_precision(found: Boxes, score_P: Floats, true: Boxes, min_iou: float) -> float:
+    """Area under the all-point interpolated precision-recall curve of 3D boxes.
+
+    Detections of the whole set are ranked together by score; each takes the free true box of its scene that it overlaps
+    most, if by at least ``min_iou``. Raises ValueError when there are no true boxes.
+    """
+    if len(true.scene_P) == 0:
+        raise ValueError("average precision needs at least one true box")
+    order = np.argsort(-score_P, kind="stable")
+    is_hit = _hits(found, order, true, min_iou)
+    hits = np.cumsum(is_hit)
+    precision = hits / np.arange(1, len(order) + 1)
+    best = np.maximum.accumulate(precision[::-1])[::-1]
+    return float(np.sum(best[is_hit]) / len(true.scene_P))
+
+
+def _hits(found: Boxes, order: Ints, true: Boxes, min_iou: float) -> Bools:
+    """For each detection in ``order``: whether it takes a true box."""
+    is_taken = np.zeros(len(true.scene_P), dtype=bool)
+    is_hit = np.zeros(len(order), dtype=bool)
+    for rank, i in enumerate(order):
+        free = np.flatnonzero((true.scene_P == found.scene_P[i]) & ~is_taken)
+        if len(free) == 0:
+            continue
+        overlaps = iou(found.center_P3[i], found.size_P3[i], true.center_P3[free], true.size_P3[free])
+        best = int(np.argmax(overlaps))
+        is_hit[rank] = overlaps[best] >= min_iou
+        is_taken[free[best]] = is_hit[rank]
+    return is_hit
+
+
+def _by_group(values: Floats, groups: Ints) -> tuple[Floats, Floats]:
+    """Sum and number of values of each group."""
+    if len(values) == 0:
+        raise ValueError("no values to take a mean of")
+    if len(values) != len(groups):
+        raise ValueError(f"{len(values)} values cannot belong to {len(groups)} groups")
+    _, group_i = np.unique(groups, return_inverse=True)
+    return np.bincount(group_i, weights=values).astype(np.float64), np.bincount(group_i).astype(np.float64)
+
+
+def _draws(num_groups: int, seed: int) -> Floats:
+    """How often each group comes up in each resample, R x G."""
+    rng = np.random.default_rng(seed)
+    return rng.multinomial(num_groups, np.full(num_groups, 1 / num_groups), size=RESAMPLES).astype(np.float64)
+
+
+def _percentiles(resampled_R: Floats) -> tuple[float, float]:
+    low, high = np.quantile(resampled_R, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return float(low), float(high)

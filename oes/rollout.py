@@ -1,0 +1,202 @@
+"""Forecasts of test episodes held against what happened: every error of every step, as rows (paper section 4.1)."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from oes.config import params
+from oes.dynamics.bounds import Simulator
+from oes.dynamics.examples import padded, stack, true_motion
+from oes.dynamics.unroll import Model, unroll
+from oes.episode import Episode, Floats
+from oes.measure import rotation_deg, translation_mm
+from oes.meshes.catalogue import Catalogue
+from oes.objects import Objects
+from oes.percept.store import ObjectStore
+from oes.sim.simulate import replay
+from oes.sim.world import Sim
+
+Bools = NDArray[np.bool_]
+
+CHUNKS = 16
+
+
+@params
+class Rollouts:
+    """The section ``rollouts``: settings scored on each test split, what counts as moved, and Bullet for the replay."""
+
+    settings: dict[str, tuple[str, ...]]
+    moved_mm: float
+    moved_deg: float
+    num_workers: int
+    sim: Sim
+
+
+@dataclass(frozen=True)
+class Row:
+    """One true object at one step of one forecast; an object that was not detected is forecast to stay."""
+
+    task: str
+    model: str
+    setting: str
+    split: str
+    episode_i: int
+    object_i: int
+    num_objects: int
+    num_views: int
+    T: int
+    translation_mm: float
+    rotation_deg: float
+    moved: int
+    detected: int
+
+
+COLUMNS = tuple(field.name for field in fields(Row))
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Where a model puts the true objects of one episode: motion since t = 0 of each object's true box centre."""
+
+    translation_TN3: Floats
+    rotation_TN33: Floats
+    detected_N: Bools
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One draw: the episode's number, how many views, the perceived objects and the true one of each (-1: none)."""
+
+    episode_i: int
+    num_views: int
+    objects: Objects
+    truth: Sequence[int]
+
+
+Forecaster = Callable[[Sequence[Scene], Mapping[int, Episode]], list[Forecast]]
+
+
+@dataclass(frozen=True)
+class Imagined:
+    """Forecasts of a model that sees what perception saw."""
+
+    model: Model
+
+    @torch.inference_mode()
+    def __call__(self, scenes: Sequence[Scene], episodes: Mapping[int, Episode]) -> list[Forecast]:
+        """All scenes as one batch."""
+        if not scenes:
+            return []
+        most = max(len(scene.truth) for scene in scenes)
+        objects = stack([padded(scene.objects, most) for scene in scenes])
+        chosen = [episodes[scene.episode_i] for scene in scenes]
+        tip_B3 = torch.from_numpy(np.stack([episode.steps[0].tip_world_3 for episode in chosen])).float()
+        actions_BT3 = torch.from_numpy(np.stack([episode.actions_T3 for episode in chosen])).float()
+        found = unroll(self.model, objects, tip_B3, actions_BT3)
+        motions = zip(found.translation_BTN3.double().numpy(), found.rotation_BTN33.double().numpy(), strict=True)
+        return [
+            carried(scene, episode, *motion) for scene, episode, motion in zip(scenes, chosen, motions, strict=True)
+        ]
+
+
+class Replayed:
+    """Forecasts of Bullet from the true start with the mean mass and friction; each episode is run once."""
+
+    def __init__(self, simulator: Simulator, catalogue: Catalogue, cfg: Rollouts) -> None:
+        self.mass_kg, self.friction = float(simulator.mass_kg), float(simulator.friction)
+        self.catalogue, self.sim, self.num_workers = catalogue, cfg.sim, cfg.num_workers
+        self.known: dict[tuple[str, int], Forecast] = {}
+
+    def __call__(self, scenes: Sequence[Scene], episodes: Mapping[int, Episode]) -> list[Forecast]:
+        """What is drawn or detected plays no part."""
+        chosen = [episodes[scene.episode_i] for scene in scenes]
+        new = [episode for episode in {_key(e): e for e in chosen}.values() if _key(episode) not in self.known]
+        chunks = [chunk for chunk in (new[i::CHUNKS] for i in range(CHUNKS)) if chunk]
+        for run in Parallel(n_jobs=self.num_workers)(delayed(self._replay)(chunk) for chunk in chunks):
+            self.known |= run
+        return [self.known[_key(episode)] for episode in chosen]
+
+    def _replay(self, episodes: Sequence[Episode]) -> dict[tuple[str, int], Forecast]:
+        out = {}
+        for episode in episodes:
+            again = replay(self.catalogue, self.sim, episode, self.mass_kg, self.friction)
+            out[_key(episode)] = truth_of(again, episode.steps[0].center_N3)
+        return out
+
+
+def carried(scene: Scene, episode: Episode, translation_TN3: Floats, rotation_TN33: Floats) -> Forecast:
+    """The forecast motion of the perceived objects, about their perceived centres, applied to the true box centres."""
+    true_N3 = episode.steps[0].center_N3
+    steps, num = len(episode.actions_T3), len(true_N3)
+    moved_TN3, turned_TN33 = np.zeros((steps, num, 3)), np.tile(np.eye(3), (steps, num, 1, 1))
+    detected_N = np.zeros(num, dtype=bool)
+    for i, object_i in enumerate(scene.truth):
+        if object_i < 0:
+            continue
+        from_center_3 = true_N3[object_i] - scene.objects.center_N3[i].double().numpy()
+        moved_TN3[:, object_i] = rotation_TN33[:, i] @ from_center_3 - from_center_3 + translation_TN3[:, i]
+        turned_TN33[:, object_i] = rotation_TN33[:, i]
+        detected_N[object_i] = True
+    return Forecast(moved_TN3, turned_TN33, detected_N)
+
+
+def truth_of(episode: Episode, center_N3: Floats) -> Forecast:
+    """What happened in an episode to the points ``center_N3`` of its objects."""
+    motions = [true_motion(episode.steps, i, center_3) for i, center_3 in enumerate(center_N3)]
+    translation_TN3, rotation_TN33 = (np.stack(parts, axis=1) for parts in zip(*motions, strict=True))
+    return Forecast(translation_TN3, rotation_TN33, np.ones(len(center_N3), dtype=bool))
+
+
+def split_rows(
+    forecast: Forecaster,
+    store: ObjectStore,
+    episodes: Mapping[int, Episode],
+    words: tuple[str, str, str],
+    cfg: Rollouts,
+) -> Iterator[Row]:
+    """The rows of every setting of one split; ``words`` are task, model and split. Missing episodes are skipped.
+
+    Raises ObjectsError for a setting that the objects file does not have.
+    """
+    task, model, split = words
+    for setting in cfg.settings[split]:
+        draw_is = [draw_i for draw_i in store.draws(setting) if store.episode(draw_i) in episodes]
+        scenes = [_scene(store, draw_i) for draw_i in draw_is]
+        for scene, found in zip(scenes, forecast(scenes, episodes), strict=True):
+            yield from _rows((task, model, setting, split), scene, found, episodes[scene.episode_i], cfg)
+
+
+def _scene(store: ObjectStore, draw_i: int) -> Scene:
+    objects, truth = store.scene(draw_i)
+    return Scene(store.episode(draw_i), len(store.views(draw_i)), objects, truth.tolist())
+
+
+def _rows(
+    words: tuple[str, str, str, str], scene: Scene, found: Forecast, episode: Episode, cfg: Rollouts
+) -> Iterator[Row]:
+    """The errors of one forecast; ``words`` are task, model, setting and split."""
+    true = truth_of(episode, episode.steps[0].center_N3)
+    error_mm_TN = translation_mm(found.translation_TN3, true.translation_TN3)
+    error_deg_TN = rotation_deg(found.rotation_TN33, true.rotation_TN33)
+    moved_mm_N = translation_mm(true.translation_TN3[-1], np.zeros(3))
+    moved_N = (moved_mm_N > cfg.moved_mm) | (rotation_deg(true.rotation_TN33[-1], np.eye(3)) > cfg.moved_deg)
+    steps, num = error_mm_TN.shape
+    for object_i in range(num):
+        about = (scene.episode_i, object_i, num, scene.num_views)
+        flags = (int(moved_N[object_i]), int(found.detected_N[object_i]))
+        for t in range(steps):
+            mm, deg = (round(float(error_TN[t, object_i]), 4) for error_TN in (error_mm_TN, error_deg_TN))
+            yield Row(*words, *about, t + 1, mm, deg, *flags)
+
+
+def forecaster(model: Model | Simulator, catalogue: Catalogue, cfg: Rollouts) -> Forecaster:
+    """How a model of ``MODELS`` forecasts."""
+    return Replayed(model, catalogue, cfg) if isinstance(model, Simulator) else Imagined(model)
+
+
+def _key(episode: Episode) -> tuple[str, int]:
+    return episode.split, episode.index

@@ -1,0 +1,39 @@
+"""dynamics: one model of object motion, trained through its unroll on perceived training scenes."""
+
+import csv
+import shutil
+from pathlib import Path
+
+from oes.dynamics import MODELS
+from oes.dynamics.checkpoint import save_model
+from oes.dynamics.learn import learn
+from oes.dynamics.train import Dynamics
+from oes.percept.store import read_objects
+from oes.record.reader import list_episodes, read_episode
+from oes.stage import publish, run, work_dir
+
+
+def main(cfg: Dynamics, task: str, model: str, episodes: Path, objects: Path, out: Path) -> None:
+    """Write ``model.safetensors`` and ``log.csv`` to ``out``."""
+    if model not in MODELS:
+        raise ValueError(f"unknown model {model!r}; there are: {', '.join(MODELS)}")
+    with work_dir(out, (cfg, task, model, [episodes, objects])) as work:
+        scenes = read_objects(objects / "objects.safetensors")
+        folders = list_episodes(episodes)
+        seen = sorted({scenes.episode(draw_i) for draw_i in range(len(scenes))})
+        recorded = {episode_i: read_episode(folders[episode_i]) for episode_i in seen}
+        progress = work / "progress"
+        progress.mkdir(exist_ok=True)
+        learned, log = learn(MODELS[model], cfg, scenes, recorded, progress)
+        save_model(work, learned)
+        with (work / "log.csv").open("w", newline="") as file:
+            columns = list(dict.fromkeys(name for row in log for name in row)) or ["step"]
+            writer = csv.DictWriter(file, columns, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(log)
+        shutil.rmtree(progress)
+        publish(work, out)
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,174 @@
+"""What must hold for every forecaster, whatever it looks at."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from oes.dynamics import MODELS
+from oes.dynamics.augment import Batch, turn_flip
+from oes.dynamics.bounds import Static
+from oes.dynamics.graph import Graph
+from oes.dynamics.loss import errors, loss_terms
+from oes.dynamics.models import OES, CropNet, GraphXYZ, ImageNet, Learned, Net, Seen
+from oes.dynamics.unroll import Model, advance, at_rest, unroll, unroll_from
+from oes.objects import Objects
+
+NET = Net(
+    graph=Graph(width=16, layers=3, rounds=2, unit_m=0.05),
+    crop=CropNet(read=2, channels=(4, 8, 8), harmonics=3, width=16),
+    image=ImageNet(channels=(4, 8), width=16),
+)
+LEARNED = [word for word, kind in MODELS.items() if issubclass(kind, Learned)]
+FORECASTERS = [word for word, kind in MODELS.items() if issubclass(kind, Model)]
+SEEN = Seen(crop_channels=2, crop_side=16, image_side_px=32)
+VIEWS = 2
+
+
+def make_objects(scenes: int = 3, num: int = 3, seed: int = 0) -> Objects:
+    g = torch.Generator().manual_seed(seed)
+    return Objects(
+        center_N3=(torch.rand(scenes, num, 3, generator=g) - 0.5) * 0.2,
+        size_N3=torch.full((scenes, num, 3), 0.08),
+        score_N=torch.ones(scenes, num),
+        valid_N=torch.ones(scenes, num, dtype=torch.bool),
+        crop_NCXYZ=torch.rand(scenes, num, 2, 16, 16, 16, generator=g),
+        image_NV3HW=torch.randint(256, (scenes, num, VIEWS, 3, 32, 32), generator=g, dtype=torch.uint8),
+        camera_NV12=torch.randn(scenes, num, VIEWS, 12, generator=g),
+        view_NV=torch.tensor([True, False]).expand(scenes, num, VIEWS).clone(),
+    )
+
+
+def make_actions(scenes: int = 3, steps: int = 5) -> tuple[Tensor, Tensor]:
+    g = torch.Generator().manual_seed(7)
+    actions = torch.randn(scenes, steps, 3, generator=g) * 0.04
+    actions[..., 2] = 0
+    return torch.randn(scenes, 3, generator=g) * 0.1, actions
+
+
+def make_model(word: str, objects: Objects) -> Model:
+    torch.manual_seed(1)
+    kind = MODELS[word]
+    model = kind(NET, SEEN) if issubclass(kind, Learned) else kind()
+    assert isinstance(model, Model)
+    return model.eval()
+
+
+def only(objects: Objects, index: Tensor) -> Objects:
+    return Objects(**{name: value[:, index] for name, value in vars(objects).items()})
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("word", FORECASTERS)
+def test_permuting_objects_permutes_the_forecast(word: str) -> None:
+    objects, (tip, actions) = make_objects(), make_actions()
+    model, order = make_model(word, objects), torch.tensor([2, 0, 1])
+    found, permuted = unroll(model, objects, tip, actions), unroll(model, only(objects, order), tip, actions)
+    torch.testing.assert_close(permuted.translation_BTN3, found.translation_BTN3[:, :, order])
+    torch.testing.assert_close(permuted.rotation_BTN33, found.rotation_BTN33[:, :, order])
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("word", FORECASTERS)
+def test_the_forecast_does_not_depend_on_where_the_table_is(word: str) -> None:
+    objects, (tip, actions) = make_objects(), make_actions()
+    model, along = make_model(word, objects), torch.tensor([0.3, -0.2, 0.0])
+    found = unroll(model, objects, tip, actions)
+    there = unroll(model, replace(objects, center_N3=objects.center_N3 + along), tip + along, actions)
+    torch.testing.assert_close(there.translation_BTN3, found.translation_BTN3, atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(there.rotation_BTN33, found.rotation_BTN33, atol=1e-5, rtol=1e-4)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("word", LEARNED)
+def test_padded_objects_change_nothing(word: str) -> None:
+    objects, (tip, actions) = make_objects(num=2), make_actions()
+    model, padded = make_model(word, objects), make_objects(num=3, seed=5)
+    padded = Objects(**{k: torch.cat([v, getattr(padded, k)[:, 2:]], 1) for k, v in vars(objects).items()})
+    padded.valid_N[:, 2] = False
+    found, wider = unroll(model, objects, tip, actions), unroll(model, padded, tip, actions)
+    torch.testing.assert_close(wider.translation_BTN3[:, :, :2], found.translation_BTN3)
+    assert not torch.equal(found.translation_BTN3, torch.zeros_like(found.translation_BTN3))
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("word", FORECASTERS)
+def test_unrolling_is_repeated_stepping(word: str) -> None:
+    objects, (tip, actions) = make_objects(), make_actions()
+    model = make_model(word, objects)
+    found = unroll(model, objects, tip, actions)
+    appearance, state = model.appearance(objects), at_rest(objects.center_N3, objects.valid_N)
+    for t, action in enumerate(actions.unbind(1)):
+        state = advance(state, model(appearance, state, tip + actions[:, :t].sum(1), action))
+        torch.testing.assert_close(found.translation_BTN3[:, t], state.moved_BN3)
+        torch.testing.assert_close(found.rotation_BTN33[:, t], state.turned_BN33)
+    torch.testing.assert_close(state.center_BN3, objects.center_N3 + found.translation_BTN3[:, -1])
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("word", LEARNED)
+def test_rotations_stay_rotations(word: str) -> None:
+    objects, (tip, actions) = make_objects(), make_actions(steps=10)
+    R = unroll(make_model(word, objects), objects, tip, actions).rotation_BTN33
+    torch.testing.assert_close(R @ R.transpose(-1, -2), torch.eye(3).expand_as(R), atol=1e-5, rtol=0)
+
+
+@torch.no_grad()
+def test_views_that_do_not_exist_are_not_read() -> None:
+    objects = make_objects()
+    model = make_model("graph_xyz_image", objects)
+    other = objects.image_NV3HW.clone()
+    other[:, :, 1] = 0
+    torch.testing.assert_close(model.appearance(replace(objects, image_NV3HW=other)), model.appearance(objects))
+    other[:, :, 0] = 0
+    assert not torch.allclose(model.appearance(replace(objects, image_NV3HW=other)), model.appearance(objects))
+
+
+@torch.no_grad()
+def test_a_turned_object_is_met_in_its_own_axes() -> None:
+    """Carrying scene, frames and rod round by any angle carries the motion round: the appearance need not be turned."""
+    objects, (tip, actions) = make_objects(), make_actions()
+    model = make_model("oes", objects)
+    appearance, state = model.appearance(objects), at_rest(objects.center_N3, objects.valid_N)
+    turn = turn_flip(torch.full((3,), 0.7), torch.zeros(3, dtype=torch.bool))
+    here = unroll_from(model, appearance, state, tip, actions)
+    turned_state = replace(state, center_BN3=state.center_BN3 @ turn.mT, turned_BN33=turn[:, None] @ state.turned_BN33)
+    there = unroll_from(model, appearance, turned_state, (turn @ tip[..., None])[..., 0], actions @ turn.mT)
+    torch.testing.assert_close(there.translation_BTN3, here.translation_BTN3 @ turn[:, None].mT, atol=1e-6, rtol=1e-4)
+
+
+def test_the_rotation_loss_is_half_the_angle_for_small_angles() -> None:
+    objects, (tip, actions) = make_objects(), make_actions()
+    rest = unroll(Static(), objects, tip, actions)
+    turn = turn_flip(torch.full((3,), 0.1), torch.zeros(3, dtype=torch.bool))[:, None, None].expand(3, 5, 3, 3, 3)
+    truth = Batch(objects, tip, actions, rest.translation_BTN3 + 0.05 / 3**0.5, turn)
+    terms = loss_terms(rest, truth, 0.05)
+    assert float(terms["rotation"]) == pytest.approx(0.05, rel=0.01)
+    assert float(terms["translation"]) == pytest.approx(1.0, rel=1e-3)
+    watched = errors(rest, truth)
+    assert watched["mm_5"] == pytest.approx(50, rel=1e-4)
+    assert watched["deg_1"] == pytest.approx(5.7296, rel=1e-3)
+
+
+@pytest.mark.parametrize("word", LEARNED)
+def test_every_model_can_learn_one_episode(word: str) -> None:
+    objects, (tip, actions) = make_objects(scenes=1, num=2), make_actions(scenes=1)
+    model = make_model(word, objects).train()
+    turn = turn_flip(torch.linspace(0.1, 0.5, 5), torch.zeros(5, dtype=torch.bool))[None, :, None].expand(1, 5, 2, 3, 3)
+    truth = Batch(objects, tip, actions, actions.cumsum(1)[:, :, None].expand(1, 5, 2, 3), turn)
+    adam = torch.optim.Adam(model.parameters(), lr=5e-3)
+    losses = []
+    for _ in range(60):
+        terms = loss_terms(unroll(model, objects, tip, actions), truth, 0.05)
+        losses.append(float(sum(terms.values()).detach()))  # type: ignore[union-attr]
+        adam.zero_grad()
+        sum(terms.values()).backward()  # type: ignore[union-attr]
+        adam.step()
+    assert losses[-1] < 0.25 * losses[0]
+
+
+def test_models_share_one_graph_network() -> None:
+    """The baselines differ from ours in their inputs only (appendix C.2)."""
+    ours, theirs = (kind(NET, SEEN).graph for kind in (OES, GraphXYZ))
+    assert [type(m) for m in ours.modules()] == [type(m) for m in theirs.modules()]

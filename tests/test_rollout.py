@@ -1,0 +1,86 @@
+"""Errors of forecasts that are known: perfect ones, none at all, and ones about a point beside the true centre."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from oes.config import load
+from oes.dynamics.bounds import Static
+from oes.episode import Episode, Floats
+from oes.objects import Objects
+from oes.percept.store import Draw, ObjectStore, pack, read_objects, write_objects
+from oes.rollout import Imagined, Rollouts, Scene, carried, split_rows, truth_of
+from tests.factories import make_episode
+from tests.test_dynamics_models import make_objects
+
+CFG = load(Path(__file__).parents[1] / "params.yaml", "rollouts", Rollouts)
+
+
+def make_scene(episode: Episode, truth: list[int], beside_m: float = 0.0) -> Scene:
+    center = (
+        np.array([episode.steps[0].center_N3[i] if i >= 0 else np.zeros(3) for i in truth]).reshape(-1, 3) + beside_m
+    )
+    objects = Objects(**{k: v[0] for k, v in vars(make_objects(scenes=1, num=len(truth))).items()})
+    objects.center_N3.copy_(torch.from_numpy(center))
+    return Scene(0, 1, objects, truth)
+
+
+def motion_of(episode: Episode, scene: Scene) -> tuple[Floats, Floats]:
+    """What truly happened to the perceived points, in the order of perception; rest for a false positive."""
+    center_N3 = scene.objects.center_N3.double().numpy()
+    found = truth_of(episode, center_N3[[scene.truth.index(i) for i in range(len(episode.bodies))]])
+    translation, rotation = np.zeros((5, len(scene.truth), 3)), np.tile(np.eye(3), (5, len(scene.truth), 1, 1))
+    for n, i in enumerate(scene.truth):
+        if i >= 0:
+            translation[:, n], rotation[:, n] = found.translation_TN3[:, i], found.rotation_TN33[:, i]
+    return translation, rotation
+
+
+def test_the_true_motion_of_a_point_beside_the_centre_is_no_error() -> None:
+    episode = make_episode(num_steps=6)
+    scene = make_scene(episode, [1, -1, 0], beside_m=0.02)
+    found = carried(scene, episode, *motion_of(episode, scene))
+    true = truth_of(episode, episode.steps[0].center_N3)
+    np.testing.assert_allclose(found.translation_TN3, true.translation_TN3, atol=1e-6)
+    np.testing.assert_allclose(found.rotation_TN33, true.rotation_TN33)
+
+
+def test_a_missed_object_is_forecast_to_stay() -> None:
+    episode = make_episode(num_steps=6)
+    scene = make_scene(episode, [1])
+    found = carried(scene, episode, np.ones((5, 1, 3)), np.tile(np.eye(3), (5, 1, 1, 1)))
+    assert found.detected_N.tolist() == [False, True]
+    assert not found.translation_TN3[:, 0].any()
+    np.testing.assert_allclose(found.translation_TN3[:, 1], 1)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> ObjectStore:
+    episode = make_episode(num_steps=6)
+    scenes = [make_scene(episode, truth) for truth in ([0, 1], [1, -1], [])]
+    draws = [Draw(0, "1view_gt", (3,), scenes[0].objects, np.array([0, 1]))]
+    draws += [Draw(0, "1view_pred", (3,), s.objects, np.array(s.truth, dtype=np.int64)) for s in scenes[1:]]
+    settings = ["1view_gt", "1view_pred"]
+    write_objects(tmp_path / "objects.safetensors", pack(draws, settings, 5), settings)
+    return read_objects(tmp_path / "objects.safetensors")
+
+
+def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(store: ObjectStore) -> None:
+    episode = make_episode(num_steps=6)
+    rows = list(split_rows(Imagined(Static()), store, {0: episode}, ("pushing", "static", "test1"), CFG))
+    assert len(rows) == 3 * 2 * 5
+    true = truth_of(episode, episode.steps[0].center_N3)
+    for row in rows:
+        expected = 1e3 * np.linalg.norm(true.translation_TN3[row.T - 1, row.object_i])
+        assert row.translation_mm == pytest.approx(expected, abs=1e-3)
+    assert [row.detected for row in rows if row.T == 1] == [1, 1, 0, 1, 0, 0]
+    assert {(row.setting, row.num_views, row.num_objects) for row in rows} == {
+        ("1view_gt", 1, 2),
+        ("1view_pred", 1, 2),
+    }
+
+
+def test_episodes_that_are_missing_are_skipped(store: ObjectStore) -> None:
+    assert list(split_rows(Imagined(Static()), store, {}, ("pushing", "static", "test1"), CFG)) == []
