@@ -1,0 +1,172 @@
+"""One pushing task with a novel object, planned and executed: imagined and real motion side by side in demo.mp4.
+
+``python -m oes.demo`` needs no dataset: it uses the weights in git, and makes a small catalogue where there is none.
+"""
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oes.config import load, params
+from oes.control.plan import Plan
+from oes.control.proposals import Rod
+from oes.dynamics.checkpoint import load_model
+from oes.episode import Body, Floats, Step
+from oes.evaluate import KEPT, TRAINED, find_weights
+from oes.film import GOAL, IMAGINED, PUSH, Picture, write_video
+from oes.meshes.build import Meshes, build_catalogue
+from oes.meshes.catalogue import Catalogue, load_catalogue
+from oes.percept.perceiver import Perceiver
+from oes.sim.rig import rig
+from oes.sim.world import Sim, World
+from oes.stage import PARAMS, run
+from oes.trial.contest import CAMERAS, PLANS, TASKS, Photographer, Trials
+from oes.trial.loop import Moment, Outcome, Planner, run_trial
+from oes.trial.pictures import seen_picture
+from oes.trial.task import Targets, Task, draw_task, generator
+
+log = logging.getLogger(__name__)
+
+SCENARIO, MODEL = "targets", "oes"
+MESHES, SPARE = Path("datasets/meshes"), Path(".work/demo-meshes")
+FILE = Path("demo.mp4")
+
+
+@params
+class Demo:
+    """The section ``demo``: which task, into how many pictures each push is divided, and the film."""
+
+    seed: int
+    goal_m: tuple[float, float]
+    pictures_per_push: int
+    zoom: int
+    pictures_per_s: int
+    hold_s: float
+
+
+def main(cfg: Demo) -> None:
+    """Plan and push until the object is believed at its goal; write the film. Raises EvaluateError without weights."""
+    trials = load(PARAMS, "trials", Trials)
+    targets = replace(trials.scenarios[SCENARIO], num_objects=(1, 1), goal_m=cfg.goal_m)
+    perception, dynamics = find_weights((KEPT, TRAINED), (MODEL,))
+    catalogue = find_catalogue()
+    robot = trials.sim.robot
+    rod = Rod(robot.rod_radius_m, robot.tip_height_m, robot.workspace_m)
+    eyes = Perceiver.load(perception)
+    planner = Planner(eyes, eyes.net.cfg.roi.voxel_m, load_model(dynamics[MODEL]), rod, trials.push, trials.track)
+    rngs = [generator(cfg.seed, "demo", 0, stream) for stream in (TASKS, CAMERAS, PLANS)]
+    task = draw_task(catalogue, trials.sim, targets, rngs[TASKS])
+    photographer = Photographer(catalogue, trials.sim, task.bodies)
+    with SlowWorld(catalogue, trials.sim, targets.settle_ms, cfg.pictures_per_push) as world:
+        outcome = run_trial(world, photographer, planner, task, targets, (rngs[CAMERAS], rngs[PLANS]))
+        write_video(pictures(outcome, world.pushes, photographer, task, targets, cfg), FILE, cfg.pictures_per_s)
+    start_mm, end_mm = outcome.initial_N.mean() * 1e3, outcome.final_N.mean() * 1e3
+    log.info("%s: %.0f mm from the goal at first, %.0f mm after %d pushes", FILE, start_mm, end_mm, outcome.steps_used)
+
+
+def find_catalogue() -> Catalogue:
+    """The study's meshes if they are there, else the MIT Push plates alone (with the same split), made in a moment."""
+    if MESHES.exists():
+        return load_catalogue(MESHES)
+    if SPARE.exists():
+        return load_catalogue(SPARE)
+    return build_catalogue(replace(load(PARAMS, "meshes", Meshes), per_category=0, shapenet=None, folder=None), SPARE)
+
+
+def pictures(
+    outcome: Outcome,
+    pushes: Sequence[Sequence[Step]],
+    photographer: Photographer,
+    task: Task,
+    targets: Targets,
+    cfg: Demo,
+) -> Iterator[NDArray[np.uint8]]:
+    """Left what the planner sees and imagines, right what happens, from the camera the planner had at each step."""
+    hold = round(cfg.hold_s * cfg.pictures_per_s)
+    done = iter(pushes)
+    for moment in outcome.moments:
+        before = _beside(moment, 0.0, moment.rgb_HW3, task, targets, cfg)
+        yield from [before] * hold
+        if moment.chosen is None:
+            continue
+        states = next(done)
+        for state_i, state in enumerate(states):
+            rgb_HW3 = photographer(state, moment.camera).rgb_VHW3[0]
+            yield _beside(moment, min(1.0, state_i / cfg.pictures_per_push), rgb_HW3, task, targets, cfg)
+        yield from [_beside(moment, 1.0, rgb_HW3, task, targets, cfg)] * hold
+
+
+def _beside(
+    moment: Moment, share: float, rgb_HW3: NDArray[np.uint8], task: Task, targets: Targets, cfg: Demo
+) -> NDArray[np.uint8]:
+    """Imagined (after ``share`` of the push) and real, side by side."""
+    imagined = seen_picture(moment, task.goal_N3, targets.success_m, cfg.zoom)
+    imagined.label("imagined" if moment.chosen else "seen")
+    if moment.chosen is not None:
+        _draw_forecast(imagined, moment.chosen, moment.belief.center_N3, moment.belief.size_N3, share)
+    real = Picture(rgb_HW3, moment.camera, cfg.zoom)
+    for goal in task.goal_N3:
+        real.ring(goal * [1, 1, 0], targets.success_m, GOAL)
+    real.label("real")
+    return np.concatenate([imagined.pixels, real.pixels], axis=1)
+
+
+def _draw_forecast(picture: Picture, chosen: Plan, center_N3: Floats, size_N3: Floats, share: float) -> None:
+    """The rod and the boxes part of the way to where the model puts them."""
+    tip, action = chosen.tip_3.double().numpy(), chosen.actions_H3[0].double().numpy()
+    picture.arrow(tip, action, PUSH)
+    picture.line(np.stack([tip + share * action, tip + share * action + [0, 0, 0.15]]), PUSH)
+    for start, end, size in zip(center_N3, chosen.position_HN3[0].double().numpy(), size_N3, strict=True):
+        picture.box(start + share * (end - start), size, IMAGINED)
+
+
+class SlowWorld:
+    """As PushWorld, and it remembers the states during every push: ``pushes[i]`` are those of push i, start to rest."""
+
+    def __init__(self, catalogue: Catalogue, sim: Sim, settle_ms: int, states_per_push: int) -> None:
+        """Raises ValueError unless a timestep divides into so many states of whole physics steps."""
+        timestep_ms = sim.physics.timestep_ms // states_per_push
+        slow = replace(sim, physics=replace(sim.physics, timestep_ms=timestep_ms))
+        self._world, self._sim, self._settle_ms, self._parts = World(catalogue, slow), sim, settle_ms, states_per_push
+        self.pushes: list[list[Step]] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._world.__exit__(kind, error, trace)
+
+    def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_xy_m: Floats) -> None:
+        """Set the scene and let it settle."""
+        self._world.reset(bodies, world_T_obj_N44, self._tip(tip_xy_m))
+        self._world.run(self._settle_ms)
+
+    def push(self, tip_start_xy_m: Floats, action_3: Floats, rng: np.random.Generator) -> Step:
+        """One push in equal parts at the same speed, then rest."""
+        self._world.arm.reset_to(self._tip(tip_start_xy_m))
+        states = [self._world.step(0, ())]
+        for _ in range(self._parts):
+            self._world.push(action_3 / self._parts)
+            states.append(self._world.step(0, ()))
+        self._world.run(self._settle_ms)
+        self.pushes.append([*states, self._world.step(0, ())])
+        return self.step_now(rng)
+
+    def step_now(self, rng: np.random.Generator) -> Step:
+        """The state now, with fresh cameras."""
+        return self._world.step(0, rig(self._sim.rig, rng))
+
+    def _tip(self, xy_m: Floats) -> Floats:
+        return np.array([xy_m[0], xy_m[1], self._sim.robot.tip_height_m])
+
+
+if __name__ == "__main__":
+    run(main)

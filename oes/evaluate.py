@@ -1,0 +1,120 @@
+"""Table 1 on anyone's meshes: ingest, capture two-object test episodes, run the trained models. Nothing is trained.
+
+``python -m oes.evaluate --meshes FOLDER`` prints the table and writes it to build/evaluate-<folder's name>/.
+"""
+
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import torch
+
+from oes.capture import capture_split
+from oes.config import load, params
+from oes.dynamics.checkpoint import load as load_dynamics
+from oes.meshes.build import Meshes, ingest_folder
+from oes.meshes.catalogue import load_catalogue
+from oes.percept.draws import Draws, Observer, perceive_all
+from oes.percept.perceiver import Perceiver
+from oes.percept.solids import solids_of
+from oes.percept.store import ObjectStore, read_objects, write_objects
+from oes.record.dataset import FrameSource
+from oes.report.build import forecast_tables, forecasts
+from oes.report.names import MODELS
+from oes.report.provenance import describe_machine, provenance, read_seeds
+from oes.report.rows import ERRORS, read_columns, write_csv
+from oes.report.table import markdown, write_table
+from oes.rollout import COLUMNS, Rollouts, forecaster, split_rows
+from oes.sim.simulate import Episodes, Split
+from oes.stage import PARAMS, publish, run, work_dir
+
+TASK, SPLIT = "pushing", "test2"
+TRAINED = Path("datasets")  # where the stages leave weights
+KEPT = Path("reports/models")  # those that git keeps
+
+
+class EvaluateError(ValueError):
+    """There is nothing to evaluate, or nothing to evaluate with."""
+
+
+@params
+class Evaluate:
+    """The section ``evaluate``: how many two-object episodes are captured."""
+
+    episodes: int
+
+
+def main(cfg: Evaluate, meshes: Path) -> None:
+    """Ingest ``meshes``, capture, forecast, and write the table. Raises EvaluateError, CatalogueError."""
+    perception, dynamics = find_weights((TRAINED, KEPT), ())
+    out = Path("build") / f"evaluate-{meshes.resolve().name}"
+    mesh_cfg, capture_cfg = load(PARAMS, "meshes", Meshes), load(PARAMS, "episodes", Episodes)
+    capture_cfg = replace(capture_cfg, splits={SPLIT: Split(count=cfg.episodes, min_objects=2, max_objects=2)})
+    with work_dir(out, (mesh_cfg, capture_cfg, [meshes, perception, *dynamics.values()])) as work:
+        if not (work / "meshes").exists():
+            ingest_folder(meshes, mesh_cfg, work / "meshes")
+        failures = capture_split(work / "meshes", capture_cfg, TASK, SPLIT, work / "episodes")
+        if len(failures) == cfg.episodes:
+            raise EvaluateError(f"{meshes}: no episode could be captured; the first: {failures[0].reason}")
+        store = perceive(work, perception, load(PARAMS, "objects", Draws))
+        (work / "report").mkdir(exist_ok=True)
+        write_errors(work, store, dynamics, load(PARAMS, "rollouts", Rollouts))
+        sys.stdout.write(write_report(work / "report", f"meshes of {meshes.name}", cfg.episodes - len(failures)))
+        publish(work / "report", out)
+        shutil.rmtree(work)
+
+
+def find_weights(roots: Sequence[Path], needed: Sequence[str]) -> tuple[Path, dict[str, Path]]:
+    """Perception's weights and each model's folder, from the first root that has perception's and models.
+
+    Raises EvaluateError when no root has those, the ``needed`` models among them.
+    """
+    for root in roots:
+        perception = root / "perception" / "perception.safetensors"
+        folders = {word: root / "dynamics" / f"{TASK}-{word}" for word in MODELS}
+        dynamics = {word: folder for word, folder in folders.items() if (folder / "model.safetensors").is_file()}
+        if perception.is_file() and dynamics and dynamics.keys() >= set(needed):
+            return perception, dynamics
+    raise EvaluateError(f"no trained weights in {' or '.join(map(str, roots))}: run `make all` first")
+
+
+def perceive(work: Path, perception: Path, cfg: Draws) -> ObjectStore:
+    """What perception sees in the captured episodes, under every test setting."""
+    path = work / "objects.safetensors"
+    if not path.exists():
+        (work / "progress").mkdir(exist_ok=True)
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        solids = solids_of(load_catalogue(work / "meshes"), cfg.num_solid_points)
+        observer = Observer(cfg, Perceiver.load(perception, device), FrameSource(work / "episodes"), solids)
+        tensors, _, _ = perceive_all(observer, work / "progress")
+        write_objects(path, tensors, list(observer.settings))
+    return read_objects(path)
+
+
+def write_errors(work: Path, store: ObjectStore, dynamics: Mapping[str, Path], cfg: Rollouts) -> None:
+    """``report/errors.csv``: the errors of every model."""
+    recorded = dict(enumerate(FrameSource(work / "episodes").episodes))
+    catalogue = load_catalogue(work / "meshes")
+    rows = [
+        asdict(row)
+        for word, folder in dynamics.items()
+        for row in split_rows(
+            forecaster(load_dynamics(folder), catalogue, cfg), store, recorded, (TASK, word, SPLIT), cfg
+        )
+    ]
+    write_csv(work / "report" / "errors.csv", rows, COLUMNS)
+
+
+def write_report(folder: Path, what: str, episodes: int) -> str:
+    """Table 1 of the rows in ``folder``, written there as md, csv and tex; gives the Markdown."""
+    found = forecasts(read_columns([folder / "errors.csv"], ERRORS), seed=0)
+    line = provenance(what, {"test": episodes}, read_seeds(PARAMS), describe_machine())
+    table = forecast_tables(found, [line])[0]
+    write_table(table, folder)
+    return markdown(table)
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,95 @@
+"""Control tasks: which objects stand where, and where each shall go (paper appendix C.3)."""
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from oes.config import params
+from oes.episode import Body, Floats
+from oes.meshes.catalogue import Catalogue
+from oes.sim.bodies import draw_body, true_box
+from oes.sim.scene import Rejected, Scatter, draw_meshes, scatter
+from oes.sim.world import Sim
+
+
+@params
+class Targets:
+    """Objects to push to one goal each, on an otherwise empty table.
+
+    Goals lie ``goal_m`` (range) from their object's start, within +- ``goal_spread_m`` of the table's centre, and so
+    far apart that the objects' boxes keep ``goal_gap_m`` however they are turned. A trial ends after ``max_steps``
+    pushes, or when every object is believed within ``stop_m`` of its goal; it succeeds when the objects' true mean
+    distance is under ``success_m``. ``settle_ms`` passes after each push.
+    """
+
+    num_objects: tuple[int, int]
+    scatter: Scatter
+    goal_m: tuple[float, float]
+    goal_spread_m: float
+    goal_gap_m: float
+    max_steps: int
+    success_m: float
+    stop_m: float
+    settle_ms: int
+    max_attempts: int
+
+
+@dataclass(frozen=True)
+class Task:
+    """What stands where at the start, where the rod is, and where each object's box centre shall go (world, metres)."""
+
+    bodies: tuple[Body, ...]
+    world_T_obj_N44: Floats
+    center_N3: Floats
+    goal_N3: Floats
+    tip_xy_m: Floats
+
+
+def generator(seed: int, scenario: str, trial_i: int, stream: int) -> np.random.Generator:
+    """The random numbers of one purpose (stream) in one trial: the same for every model."""
+    return np.random.default_rng([seed, zlib.crc32(scenario.encode()), trial_i, stream])
+
+
+def draw_task(catalogue: Catalogue, sim: Sim, cfg: Targets, rng: np.random.Generator) -> Task:
+    """One or more novel objects standing apart, each with a goal. Raises Rejected when no attempt fits the table."""
+    reasons = []
+    for _ in range(cfg.max_attempts):
+        try:
+            return _attempt(catalogue, sim, cfg, rng)
+        except Rejected as error:
+            reasons.append(str(error))
+    raise Rejected(f"no task in {cfg.max_attempts} attempts; the last failed with: {reasons[-1]}")
+
+
+def _attempt(catalogue: Catalogue, sim: Sim, cfg: Targets, rng: np.random.Generator) -> Task:
+    num_objects = int(rng.integers(cfg.num_objects[0], cfg.num_objects[1] + 1))
+    meshes = draw_meshes(catalogue.split("test"), num_objects, rng)
+    bodies = tuple(draw_body(mesh, sim.bodies, rng) for mesh in meshes)
+    poses = scatter(meshes, bodies, cfg.scatter, rng)
+    boxes = [true_box(mesh, body, pose) for mesh, body, pose in zip(meshes, bodies, poses, strict=True)]
+    center_N3, size_N3 = (np.array(values) for values in zip(*boxes, strict=True))
+    goal_N3 = _goals(center_N3, np.linalg.norm(size_N3[:, :2], axis=1) / 2, cfg, rng)
+    return Task(bodies, poses, center_N3, goal_N3, _free_tip(center_N3, size_N3, sim, rng))
+
+
+def _goals(center_N3: Floats, radius_N: Floats, cfg: Targets, rng: np.random.Generator) -> Floats:
+    """A goal for each object at a uniform distance and bearing. Raises Rejected when they leave the table or crowd."""
+    distance = rng.uniform(*cfg.goal_m, size=len(center_N3))
+    bearing = rng.uniform(-np.pi, np.pi, size=len(center_N3))
+    goals = center_N3 + distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
+    if np.abs(goals[:, :2]).max() > cfg.goal_spread_m:
+        raise Rejected("a goal lies outside its bounds")
+    for i, j in zip(*np.triu_indices(len(goals), 1), strict=True):
+        if np.linalg.norm(goals[i] - goals[j]) < radius_N[i] + radius_N[j] + cfg.goal_gap_m:
+            raise Rejected("two goals are too close to each other")
+    return np.asarray(goals)
+
+
+def _free_tip(center_N3: Floats, size_N3: Floats, sim: Sim, rng: np.random.Generator) -> Floats:
+    """A place for the rod off every object's box by its diameter. Raises Rejected after one miss."""
+    tip_xy = rng.uniform(-sim.robot.workspace_m, sim.robot.workspace_m, size=2)
+    outside = np.abs(tip_xy - center_N3[:, :2]) > size_N3[:, :2] / 2 + 2 * sim.robot.rod_radius_m
+    if not outside.any(axis=1).all():
+        raise Rejected("the rod would stand on an object")
+    return np.asarray(tip_xy)

@@ -1,0 +1,21 @@
+"""trials: objects pushed to targets by model predictive control; one row a trial, with films of some."""
+
+from pathlib import Path
+
+from oes.report.rows import write_csv
+from oes.stage import publish, run, work_dir
+from oes.trial.contest import ROWS, Inputs, Trials, run_trials, trial_rows, write_videos
+
+
+def main(cfg: Trials, scenario: str, model: str, meshes: Path, perception: Path, dynamics: Path, out: Path) -> None:
+    """Write trials.csv and the videos. ``dynamics`` is the folder of ``model``'s weights."""
+    inputs = Inputs(meshes, perception / "perception.safetensors", dynamics)
+    with work_dir(out, (cfg, scenario, model, [meshes, perception, dynamics])) as work:
+        found = run_trials(cfg, scenario, inputs)
+        videos = write_videos(found, cfg.scenarios[scenario], cfg, work)
+        write_csv(work / "trials.csv", trial_rows(found, scenario, model, cfg.scenarios[scenario], videos), ROWS)
+        publish(work, out)
+
+
+if __name__ == "__main__":
+    run(main)

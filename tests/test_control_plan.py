@@ -1,0 +1,144 @@
+"""The planner against problems whose optimum is known, and the proposals against the geometry they must respect."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from oes.control.plan import Plan, PlanError, Proposals, goal_distance, plan
+from oes.control.proposals import Footprint, NoFreeStart, Push, Rod, footprint, sample
+from oes.control.track import assign, update
+
+PUSH = Push(
+    candidates=30,
+    horizon_steps=1,
+    attempts=10,
+    length_m=(0.03, 0.06),
+    clearance_m=(0.005, 0.015),
+    aim=0.6,
+    turn_deg=30.0,
+)
+ROD = Rod(radius_m=0.008, tip_height_m=0.02, reach_m=0.3)
+
+
+def _double_integrator(proposals: Proposals) -> Tensor:
+    """Positions SH13 of a unit mass at rest at the origin under the actions as accelerations, unit time steps."""
+    velocity = proposals.actions_SH3.cumsum(dim=1)
+    return velocity.cumsum(dim=1)[:, :, None]
+
+
+def _along_x(goal: float, actions_SH3: Tensor) -> Plan:
+    proposals = Proposals(actions_SH3[:, 0], actions_SH3)
+    return plan(_double_integrator, goal_distance(torch.tensor([[goal, 0.0, 0.0]])), proposals)
+
+
+def test_double_integrator_reaches_the_closed_form_optimum() -> None:
+    """With |a| <= 1 for 3 steps, x = 3 a0 + 2 a1 + a2 reaches 6 at most, by a = (1, 1, 1); within 6, distance 0."""
+    actions = torch.zeros(20000, 3, 3)
+    actions[..., 0] = torch.rand(20000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    beyond = _along_x(9.0, actions)
+    assert beyond.cost == pytest.approx(3.0, abs=0.25)
+    assert (beyond.actions_H3[:, 0] > 0.8).all()
+    assert _along_x(2.0, actions).cost < 0.01
+
+
+def test_point_mass_picks_the_nearest_candidate_for_every_goal() -> None:
+    actions = torch.randn(50, 1, 3, generator=torch.Generator().manual_seed(1))
+    for goal in torch.randn(5, 3, generator=torch.Generator().manual_seed(2)):
+        best = plan(lambda p: p.actions_SH3[:, :, None], goal_distance(goal[None]), Proposals(actions[:, 0], actions))
+        distance = (actions[:, 0] - goal).norm(dim=-1)
+        assert best.cost == pytest.approx(float(distance.min()))
+        assert torch.equal(best.actions_H3[0], actions[distance.argmin(), 0])
+        assert torch.equal(best.position_HN3[0, 0], best.actions_H3[0])
+
+
+def test_cost_is_the_mean_over_goals_of_the_last_step() -> None:
+    positions = torch.zeros(2, 2, 2, 3)
+    positions[1, 1, 0, 0] = 0.3
+    assert goal_distance(torch.zeros(2, 3))(positions).tolist() == pytest.approx([0.0, 0.15])
+
+
+def test_diverged_candidates_are_never_chosen() -> None:
+    actions = torch.tensor([[[0.0, 0, 0]], [[1.0, 0, 0]]])
+    factor = torch.tensor([torch.nan, 1.0])
+    cost = goal_distance(torch.zeros(1, 3))
+    best = plan(lambda p: (p.actions_SH3 * factor[:, None, None])[:, :, None], cost, Proposals(actions[:, 0], actions))
+    assert best.cost == pytest.approx(1.0)
+    with pytest.raises(PlanError, match="none of the 2 candidates"):
+        plan(lambda p: p.actions_SH3[:, :, None] * torch.nan, cost, Proposals(actions[:, 0], actions))
+
+
+def _square(center: tuple[float, float], half_cells: int) -> Footprint:
+    occupancy = np.zeros((16, 16, 16), np.float32)
+    inside = slice(8 - half_cells, 8 + half_cells)
+    occupancy[inside, inside, 6:10] = 0.9
+    size = np.full(3, half_cells * 0.02)
+    return footprint(np.array([*center, 0.03]), size, occupancy, voxel_m=0.01, threshold=0.5)
+
+
+def _gap(points_P2: NDArray[np.float64], center: tuple[float, float], half_m: float) -> NDArray[np.float64]:
+    """Distance from points to a square."""
+    return np.hypot(*np.maximum(np.abs(points_P2 - np.array(center)) - half_m, 0).T)
+
+
+def test_starts_are_beside_their_object_and_clear_of_every_other() -> None:
+    centers = [(0.0, 0.0), (0.09, 0.0)]
+    proposals, object_i = sample([_square(center, 3) for center in centers], ROD, PUSH, np.random.default_rng(0))
+    tip = proposals.tip_S3.numpy().astype(float)
+    assert len(tip) == 30 and set(object_i) == {0, 1} and tip[:, 2] == pytest.approx(0.02)
+    gaps = np.stack([_gap(tip[:, :2], center, 0.03) for center in centers], axis=1)
+    assert gaps.min() >= ROD.radius_m + PUSH.clearance_m[0] - 1e-3, "a rod starts inside an object's clearance"
+    own = gaps[np.arange(30), object_i]
+    assert own.max() <= ROD.radius_m + PUSH.clearance_m[1] + 0.003, "a start is not beside its object"
+    assert own.max() - own.min() > 0.005, "clearances do not vary"
+
+
+def test_pushes_meet_their_object_with_the_asked_lengths() -> None:
+    cfg = replace(PUSH, horizon_steps=4, aim=0.9)
+    proposals, _ = sample([_square((0.05, -0.05), 2)], ROD, cfg, np.random.default_rng(1))
+    actions, tip = proposals.actions_SH3.numpy(), proposals.tip_S3.numpy()
+    length = np.linalg.norm(actions, axis=-1)
+    assert actions.shape == (30, 4, 3) and (actions[..., 2] == 0).all()
+    assert length.min() >= 0.03 - 1e-6 and length.max() <= 0.06 + 1e-6 and length.std() > 0.004
+    fraction = np.linspace(0, 1, 50)[:, None, None]
+    swept = tip[None, :, :2] + fraction * actions[None, :, 0, :2]
+    closest = _gap(swept.reshape(-1, 2), (0.05, -0.05), 0.02).reshape(50, 30).min(axis=0)
+    assert (closest <= ROD.radius_m).all(), "a push misses its object"
+    assert np.ptp(np.arctan2(actions[:, 0, 1], actions[:, 0, 0])) > 4, "headings do not vary"
+
+
+def test_the_rod_stays_within_reach() -> None:
+    proposals, _ = sample([_square((0.24, 0.0), 3)], ROD, PUSH, np.random.default_rng(2))
+    end = proposals.tip_S3 + proposals.actions_SH3.sum(dim=1)
+    assert max(proposals.tip_S3.abs().max(), end.abs().max()) <= ROD.reach_m
+
+
+def test_empty_mask_falls_back_to_the_box() -> None:
+    nothing = np.zeros((16, 16, 16), np.float32)
+    shape = footprint(np.array([0.1, 0.0, 0.02]), np.array([0.08, 0.04, 0.04]), nothing, 0.01, 0.5)
+    assert np.ptp(shape.points_P2, axis=0) == pytest.approx([0.08, 0.04])
+
+
+def test_no_free_start_is_an_error() -> None:
+    with pytest.raises(NoFreeStart, match="beside 1 objects"):
+        sample([_square((0.5, 0.5), 3)], ROD, PUSH, np.random.default_rng(0))
+
+
+def test_assignment_is_joint_gated_and_one_to_one() -> None:
+    expected = np.array([[0.0, 0, 0], [0.05, 0, 0]])
+    seen = np.array([[0.04, 0, 0], [0.3, 0, 0], [-0.02, 0, 0]])
+    assert assign(expected, seen, 0.06).tolist() == [2, 0]
+    assert assign(expected, seen[1:2], 0.06).tolist() == [-1, -1]
+    assert assign(expected, np.zeros((0, 3)), 0.06).tolist() == [-1, -1]
+    assert assign(expected, np.array([[0.03, 0.0, 0.0]]), 0.06).tolist() == [-1, 0]
+
+
+def test_an_unseen_object_keeps_its_estimate() -> None:
+    center, size = np.array([[0.0, 0, 0], [0.2, 0, 0]]), np.full((2, 3), 0.05)
+    new_center, new_size, seen = update(center, size, np.array([[0.21, 0, 0]]), np.full((1, 3), 0.07), 0.06)
+    assert seen.tolist() == [False, True]
+    assert new_center[:, 0].tolist() == [0.0, 0.21] and new_size[:, 0].tolist() == [0.05, 0.07]
+    assert center[1, 0] == 0.2, "the caller's arrays are not changed"

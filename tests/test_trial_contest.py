@@ -1,0 +1,72 @@
+"""Many trials through the real perceiver and models (untrained): rows, films, failures and the same for every run."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from oes.config import load
+from oes.report.rows import TRIALS, read_columns, write_csv
+from oes.trial.contest import ROWS, Inputs, ScenarioError, Trial, Trials, run_trials, trial_rows, write_videos
+from tests.blocks import SMOKE, make_catalogue, make_weights
+
+
+@pytest.fixture(scope="module")
+def cfg() -> Trials:
+    trials = load(SMOKE, "trials", Trials)
+    targets = replace(trials.scenarios["targets"], max_steps=2)
+    film = replace(trials.film, zoom=2, look_s=0.2, push_s=0.2, end_s=0.2)
+    return replace(trials, count=2, num_workers=1, scenarios={"targets": targets}, film=film)
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
+    folder = tmp_path_factory.mktemp("inputs")
+    make_catalogue(folder / "meshes")
+    make_weights(folder)
+    perception = folder / "perception" / "perception.safetensors"
+    return Inputs(folder / "meshes", perception, folder / "dynamics" / "pushing-graph_xyz")
+
+
+@pytest.fixture(scope="module")
+def found(cfg: Trials, inputs: Inputs) -> list[Trial]:
+    return run_trials(cfg, "targets", inputs)
+
+
+def test_rows_and_films_of_a_run(cfg: Trials, found: list[Trial], tmp_path: Path) -> None:
+    targets = cfg.scenarios["targets"]
+    videos = write_videos(found, targets, cfg, tmp_path)
+    write_csv(tmp_path / "trials.csv", trial_rows(found, "targets", "graph_xyz", targets, videos), ROWS)
+    rows = read_columns([tmp_path / "trials.csv"], TRIALS)
+    assert rows["trial_i"].tolist() == [0, 1] and set(rows["scenario"]) == {"targets"}
+    assert (rows["initial_mm"] > 40).all() and np.isfinite(rows["mean_final_mm"]).all()
+    assert (rows["failure"] == "").all() and (rows["steps_used"] <= 2).all()
+    assert sum(name != "" for name in rows["video"]) >= 1
+    for name in filter(None, rows["video"]):
+        assert (tmp_path / name).stat().st_size > 1000 and (tmp_path / name).with_suffix(".gif").exists()
+
+
+def test_the_same_trials_again(cfg: Trials, inputs: Inputs, found: list[Trial]) -> None:
+    (first, *_), (again, *_) = found, run_trials(replace(cfg, count=1), "targets", inputs)
+    assert first.task and again.task and first.outcome and again.outcome
+    assert np.array_equal(first.task.goal_N3, again.task.goal_N3)
+    assert np.array_equal(first.outcome.final_N, again.outcome.final_N)
+    assert np.array_equal(first.outcome.moments[-1].rgb_HW3, again.outcome.moments[-1].rgb_HW3)
+
+
+def test_a_trial_that_cannot_begin_is_a_row_with_its_reason(cfg: Trials, inputs: Inputs, tmp_path: Path) -> None:
+    targets = replace(cfg.scenarios["targets"], goal_m=(5.0, 6.0), max_attempts=3)
+    impossible = replace(cfg, count=1, scenarios={"targets": targets})
+    trials = run_trials(impossible, "targets", inputs)
+    assert write_videos(trials, targets, cfg, tmp_path) == {}
+    write_csv(tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), ROWS)
+    with (tmp_path / "trials.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert row["success"] == "False" and row["mean_final_mm"] == "nan" and "no task in 3 attempts" in row["failure"]
+
+
+def test_unknown_scenario_names_the_known(cfg: Trials, inputs: Inputs) -> None:
+    with pytest.raises(ScenarioError, match=r"unknown scenario 'fly'.*targets"):
+        run_trials(cfg, "fly", inputs)

@@ -1,0 +1,79 @@
+"""``make evaluate`` and ``make demo`` as users run them, with untrained weights: what they write, what they refuse."""
+
+import csv
+from pathlib import Path
+
+import av
+import pytest
+import trimesh
+import yaml
+
+from oes import demo, evaluate
+from oes.config import load
+from oes.demo import Demo
+from oes.evaluate import Evaluate, EvaluateError, find_weights
+from oes.meshes.catalogue import CatalogueError
+from tests.blocks import SMOKE, make_catalogue, make_weights
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with params.yaml (smoke, in this process) and weights as git keeps them."""
+    make_weights(tmp_path / "reports" / "models")
+    sections = yaml.safe_load(SMOKE.read_text())
+    for name in ("episodes", "rollouts", "trials"):
+        sections[name]["num_workers"] = 1
+    sections["trials"]["scenarios"]["targets"]["max_steps"] = 2
+    sections["evaluate"]["episodes"] = 2
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(sections))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_evaluate_makes_table_1_of_a_folder_of_meshes(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (study / "mine").mkdir()
+    trimesh.creation.box((0.08, 0.06, 0.05)).export(study / "mine" / "brick.stl")
+    trimesh.creation.cylinder(0.04, 0.05).export(study / "mine" / "puck.obj")
+    (study / "mine" / "broken.stl").write_text("not a mesh")
+    evaluate.main(load(study / "params.yaml", "evaluate", Evaluate), study / "mine")
+    out = study / "build" / "evaluate-mine"
+    printed = capsys.readouterr().out
+    assert printed == (out / "table1.md").read_text()
+    assert "Profile meshes of mine; episodes: 2 test" in printed
+    for label in ("3 views, true boxes", "1 view, true boxes", "1 view, predicted boxes", "graph-XYZ", "3D-OES"):
+        assert label in printed
+    with (out / "table1.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["model"] for row in rows} == {"oes", "graph_xyz"} and {row["n"] for row in rows} <= {"1", "2", "3", "4"}
+    assert not list((study / ".work").rglob("*.mcap")), "the episodes are not left behind"
+
+
+def test_evaluate_refuses_what_it_cannot_use(study: Path) -> None:
+    cfg = load(study / "params.yaml", "evaluate", Evaluate)
+    (study / "junk").mkdir()
+    (study / "junk" / "broken.stl").write_text("not a mesh")
+    with pytest.raises(CatalogueError, match="none of 1 meshes is usable"):
+        evaluate.main(cfg, study / "junk")
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        evaluate.main(cfg, study / "nowhere")
+    with pytest.raises(EvaluateError, match=r"no trained weights in datasets or .*make all"):
+        find_weights((Path("datasets"), study), ())
+    with pytest.raises(EvaluateError, match="no trained weights"):
+        find_weights((study / "reports" / "models",), ("graph_xyz_image",))
+
+
+def test_demo_films_imagined_beside_real(study: Path) -> None:
+    make_catalogue(study / "datasets" / "meshes")
+    demo.main(load(study / "params.yaml", "demo", Demo))
+    with av.open(str(study / "demo.mp4")) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    height, width, _ = frames[0].shape
+    assert width == 2 * height and len(frames) >= 5
+    assert frames[0][:, : width // 2].std() > 10 and frames[0][:, width // 2 :].std() > 10
+
+
+def test_demo_without_a_catalogue_makes_novel_plates(study: Path) -> None:
+    catalogue = demo.find_catalogue()
+    assert {mesh.category for mesh in catalogue.meshes.values()} == {"mit_push"}
+    assert len(catalogue.meshes) == 11 and len(catalogue.split("test")) == 3
+    assert demo.find_catalogue().meshes.keys() == catalogue.meshes.keys()
