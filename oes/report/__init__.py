@@ -1,0 +1,1 @@
+"""Raw rows into tables, figures and metrics.json. Imports neither torch nor pybullet."""

@@ -1,0 +1,70 @@
+"""What reports/ keeps beside tables: the weights of the trained models, the contact sheet, some films."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from oes.report.rows import Columns, select
+
+
+class WeightsError(ValueError):
+    """A weights file that cannot be read; names it."""
+
+
+def copy_half(source: Path, target: Path) -> None:
+    """Weights in half precision (float32 tensors only), with the same metadata: half the bytes in git."""
+    try:
+        with safe_open(source, framework="np") as file:
+            about = file.metadata()
+            tensors = {name: file.get_tensor(name) for name in file.keys()}
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(f"{source}: not a readable safetensors file: {error}") from error
+    with np.errstate(over="ignore"):
+        halved = {name: x.astype(np.float16) if x.dtype == np.float32 else x for name, x in tensors.items()}
+    overflown = [name for name, value in halved.items() if value.dtype == np.float16 and not np.isfinite(value).all()]
+    if overflown:
+        raise WeightsError(f"{source}: does not fit half precision: {', '.join(overflown)}")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(_ordered(save(halved, about)))
+
+
+def _ordered(content: bytes) -> bytes:
+    """A safetensors file with its header in alphabetical order: the library's own order changes from run to run."""
+    length = int.from_bytes(content[:8], "little")
+    header = json.dumps(json.loads(content[8 : 8 + length]), sort_keys=True).encode()
+    header += b" " * (-len(header) % 8)
+    return len(header).to_bytes(8, "little") + header + content[8 + length :]
+
+
+def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
+    """``perception/`` in half precision and ``dynamics/<task>-<model>/`` as they are (some 15,000 numbers each).
+
+    Raises FileNotFoundError when there is no dynamics model.
+    """
+    copy_half(perception / "perception.safetensors", folder / "perception" / "perception.safetensors")
+    models = sorted(dynamics.glob("*/model.safetensors"))
+    if not models:
+        raise FileNotFoundError(f"{dynamics}: holds no model.safetensors in any folder")
+    for source in models:
+        target = folder / "dynamics" / source.parent.name / source.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(_ordered(source.read_bytes()))
+
+
+def copy_films(trials: Path, rows: Columns, scenario: str, model: str, folder: Path) -> list[str]:
+    """A film of one success and of one failure, if there are any, as MP4 and GIF; gives their paths from ``folder``'s
+    parent."""
+    names: list[str] = []
+    own = select(rows, scenario=scenario, model=model)
+    for is_success in (True, False):
+        filmed = [Path(name) for name in select(own, success=is_success)["video"] if name]
+        for suffix in (".mp4", ".gif") if filmed else ():
+            folder.mkdir(parents=True, exist_ok=True)
+            source = (trials / f"{scenario}-{model}" / filmed[0]).with_suffix(suffix)
+            shutil.copyfile(source, folder / source.name)
+            names.append(f"{folder.name}/{source.name}")
+    return names

@@ -1,0 +1,29 @@
+"""tables: the raw rows of every stage as tables, figures and metrics.json, with the weights and films worth keeping."""
+
+from pathlib import Path
+
+from oes.report.build import Inputs, Tables, build
+from oes.report.provenance import read_seeds
+from oes.stage import PARAMS, publish, run, work_dir
+
+
+def main(
+    cfg: Tables,
+    meshes: Path,
+    episodes: Path,
+    perception: Path,
+    objects: Path,
+    dynamics: Path,
+    rollouts: Path,
+    trials: Path,
+    out: Path,
+) -> None:
+    """Write everything into ``out``."""
+    inputs = Inputs(meshes, episodes, perception, objects, dynamics, rollouts, trials)
+    with work_dir(out, (cfg, [rollouts, trials, objects, dynamics, perception])) as work:
+        build(cfg, inputs, read_seeds(PARAMS), work)
+        publish(work, out)
+
+
+if __name__ == "__main__":
+    run(main)
