@@ -1,4 +1,4 @@
-"""Capture: one episode is simulated, seen by 27 cameras at every state, and written; a split is many of them at once."""
+"""Capture: an episode is simulated, seen by 27 cameras at every state, and written; a split is many at once."""
 
 import logging
 from dataclasses import dataclass
