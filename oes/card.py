@@ -100,10 +100,10 @@ def _words(card: Mapping[str, Any]) -> str:
         f"# {card['task']}, {card['split']}",
         "",
         f"{card['episodes']} episodes ({objects} objects); {card['rejected_attempts']} attempts rejected on the way.",
-        f"Two objects touch in {100 * card['share_object_contact']:.0f}% of the episodes. The rod follows its commanded "
-        f"path within {card['rod_rms_mm']['mean']:.2f} mm RMS (worst episode {card['rod_rms_mm']['max']:.2f} mm).",
+        f"Two objects touch in {100 * card['share_object_contact']:.0f}% of the episodes. The rod keeps to its",
+        f"commanded path within {card['rod_rms_mm']['mean']:.3f} mm RMS (worst episode {card['rod_rms_mm']['max']:.3f} mm).",
         "",
-        "| T | all objects: mean mm | median mm | most moved object: mean mm | episodes with over 1 cm | mean turn, deg |",
+        "| T | all objects: mean mm | median mm | most moved: mean mm | episodes with over 1 cm | mean turn, deg |",
         "|---|---|---|---|---|---|",
         *rows,
         "",

@@ -18,7 +18,8 @@ from oes.stage import imports, reached
 # From the bottom up: a module or package of oes may import only those before it.
 ORDER = (
     "config", "episode", "geom", "objects", "measure", "checkpoint", "stage", "fit", "report", "meshes", "sim",
-    "render", "record", "capture", "card", "film", "percept", "dynamics", "control", "rollout", "trial", "evaluate", "demo",
+    "render", "record", "capture", "card", "film",
+    "percept", "dynamics", "control", "rollout", "trial", "evaluate", "demo",
 )  # fmt: skip
 
 # Libraries that only some packages may import.

@@ -42,7 +42,7 @@ def test_quaternions_round_trip_with_the_real_part_last() -> None:
 def test_the_target_of_look_at_projects_to_the_image_centre_with_up_upwards() -> None:
     K = intrinsics(42.0, 128, 128)
     eye, target = np.array([0.5, -0.6, 0.8]), np.array([0.0, 0.0, 0.1])
-    uv, depth = project(K, look_at(eye, target), np.stack([target, target + [0, 0, 0.05]]))
+    uv, depth = project(K, look_at(eye, target), np.stack([target, target + np.array([0, 0, 0.05])]))
     np.testing.assert_allclose(uv[0], [64, 64], atol=1e-9)
     assert depth[0] == pytest.approx(np.linalg.norm(target - eye))
     assert uv[1, 1] < 64

@@ -172,7 +172,7 @@ def _xavier(conv: nn.Conv2d | nn.Conv3d) -> nn.Module:
 
 
 def _place(side: int) -> Tensor:
-    """Coordinate channels 2XYZ: distance from the crop's vertical axis and height over its centre, 1 at the outer faces."""
+    """Coordinate channels 2XYZ: distance from the vertical axis and height over the centre, 1 at the outer faces."""
     line = (torch.arange(side) + 0.5) / side * 2 - 1
     x, y, z = torch.meshgrid(line, line, line, indexing="ij")
     return torch.stack([torch.hypot(x, y), z])

@@ -1,10 +1,12 @@
 """Meshes from elsewhere: any folder of mesh files, or a ShapeNetCore tree. A bad file is rejected with a reason."""
 
 import itertools
+import math
 import multiprocessing
 import re
 import resource
 import shutil
+import signal
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -23,11 +25,15 @@ from oes.meshes.repair import READER_ERRORS, SUFFIXES, UPRIGHT_FROM_Y, Repair, c
 
 SYNSETS = {"camera": "02942699", "mug": "03797390", "bowl": "02880940", "bed": "02818832"}
 REASON = "reason.txt"
+PATIENCE = 10
 
 
 @params
 class Ingest:
-    """How foreign files are read: which axis is up (GLB and ShapeNet: always y), and limits a file."""
+    """How foreign files are read: which axis is up (GLB and ShapeNet: always y), and limits a file.
+
+    ``limit_s`` is processor time, so that a busy machine rejects nothing more; ten times that by the clock ends it too.
+    """
 
     up: str
     limit_s: float
@@ -131,8 +137,9 @@ def _guarded(
     folder.mkdir(parents=True, exist_ok=True)
     child = context.Process(target=_work, args=(candidate, longest_m, cfg, folder, cache), daemon=True)
     child.start()
-    child.join(cfg.limit_s)
-    reason = f"took longer than {cfg.limit_s:g} s" if child.is_alive() else f"crashed (exit {child.exitcode})"
+    child.join(PATIENCE * cfg.limit_s)
+    is_late = child.is_alive() or child.exitcode == -signal.SIGXCPU
+    reason = f"took longer than {cfg.limit_s:g} s" if is_late else f"crashed (exit {child.exitcode})"
     child.kill()
     child.join()
     if (folder / RECORD).exists():
@@ -147,6 +154,8 @@ def _work(candidate: Candidate, longest_m: float, cfg: Ingest, folder: Path, cac
     """The child's job: leaves either a whole mesh or a reason in ``folder``."""
     limit = int(cfg.limit_gb * 2**30)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(cfg.limit_s), resource.RLIM_INFINITY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
         draft, mass = prepare(candidate, longest_m, cfg, cache)
         write_mesh(draft, mass, folder)

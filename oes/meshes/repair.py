@@ -54,7 +54,7 @@ def read_surface(path: Path, cfg: Repair) -> trimesh.Trimesh:
     except READER_ERRORS as error:
         raise Rejected(f"unreadable: {type(error).__name__}: {' '.join(str(error).split())[:120]}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise Rejected("no triangles")
+        raise Rejected("no triangles: truncated, or not what its name says")
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
@@ -130,7 +130,7 @@ STEPS: dict[str, Callable[[trimesh.Trimesh], bool]] = {
 def simplified(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
     """At most ``max_faces`` faces: by manifold3d for closed meshes, else by merging vertices in ever larger cells."""
     size = float(mesh.extents.max())
-    for tolerance in size * np.geomspace(1e-4, 0.05, 12):
+    for tolerance in size * np.geomspace(1e-4, 0.1, 13):
         smaller = _collapsed(mesh, tolerance) if mesh.is_volume else _clustered(mesh, tolerance)
         if 4 <= len(smaller.faces) <= max_faces and (smaller.is_volume or not mesh.is_volume):
             return smaller

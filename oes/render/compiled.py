@@ -1,4 +1,4 @@
-"""The one way this package compiles a function: ahead of use with numba, cached beside the source."""
+"""The one way this package compiles a function: with numba, cached beside the source."""
 
 from collections.abc import Callable
 from typing import TypeVar, cast
@@ -9,7 +9,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(function: Function) -> Function:
-    """``function`` as machine code with the same signature and strict IEEE arithmetic, so that equal input gives equal bytes.
+    """``function`` as machine code with the same signature and strict IEEE arithmetic: equal input, equal bytes.
 
     The cache is keyed by the function's own file: compiled functions call only compiled functions of the same file.
     """

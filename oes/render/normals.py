@@ -14,7 +14,8 @@ MERGE_M = 1e-5
 
 
 def normal_maps(vertices_P3: NDArray[np.float32], faces_F3: Ints) -> Floats:
-    """F34: the affine map from a point of a face (obj frame) to its shading normal there (obj frame, any length).
+    """F44: rows 0 to 2, the affine map from a point of a face (obj frame) to its shading normal there (obj frame, any
+    length); row 3, the face's own normal (any length).
 
     A corner's normal is the mean of the faces around its vertex that meet smoothly, weighted by area; over the
     face it is interpolated linearly. Vertices within ``MERGE_M`` count as one.
@@ -74,7 +75,7 @@ def corner_normals(
 
 
 def _interpolation(a_F3: Floats, ab_F3: Floats, ac_F3: Floats, area_F3: Floats, normal_F33: Floats) -> Floats:
-    """F34 maps that take a, b and c of each face to its corners' normals; constant on faces without area."""
+    """Maps that take a, b and c of each face to its corners' normals; constant on faces without area."""
     squared_F1 = (area_F3**2).sum(axis=1, keepdims=True)
     safe_F1 = np.where(squared_F1 > 0, squared_F1, np.inf)
     to_b_F3 = np.cross(ac_F3, area_F3) / safe_F1  # the weight of b grows by this per metre
@@ -82,4 +83,6 @@ def _interpolation(a_F3: Floats, ab_F3: Floats, ac_F3: Floats, area_F3: Floats, 
     slope_F33 = (normal_F33[:, 1] - normal_F33[:, 0])[:, :, None] * to_b_F3[:, None]
     slope_F33 += (normal_F33[:, 2] - normal_F33[:, 0])[:, :, None] * to_c_F3[:, None]
     offset_F3 = normal_F33[:, 0] - np.einsum("fij,fj->fi", slope_F33, a_F3)
-    return np.concatenate([slope_F33, offset_F3[:, :, None]], axis=2)
+    maps_F44 = np.zeros((len(a_F3), 4, 4))
+    maps_F44[:, :3, :3], maps_F44[:, :3, 3], maps_F44[:, 3, :3] = slope_F33, offset_F3, area_F3
+    return maps_F44

@@ -22,13 +22,14 @@ class Renderer:
         self._start_M = np.cumsum([0, *(len(mesh.vertices_P3) for mesh in meshes)]).astype(np.int32)
         self._vertices_P3 = _joined([mesh.vertices_P3.astype(np.float64) for mesh in meshes], (0, 3))
         faces = [mesh.faces_F3 + start for mesh, start in zip(meshes, self._start_M, strict=False)]
-        self._faces_F3 = _joined(faces, (0, 3)).astype(np.int32)
+        self._faces_F3 = _joined(faces, (0, 3)).astype(np.uint32)
         self._pose_i_M = np.array([mesh.pose_i for mesh in meshes], dtype=np.int32)
-        self._normal_T_obj_F34 = _joined([normal_maps(mesh.vertices_P3, mesh.faces_F3) for mesh in meshes], (0, 3, 4))
-        # the last entry of what is looked up by face is what a pixel without one (-1) takes
+        self._normal_F44 = _joined([normal_maps(mesh.vertices_P3, mesh.faces_F3) for mesh in meshes], (0, 4, 4))
         num_faces = [len(mesh.faces_F3) for mesh in meshes]
-        self._mesh_F = np.append(np.repeat(np.arange(len(meshes)), num_faces), -1).astype(np.int32)
-        self._seg_F = np.append(np.repeat([mesh.seg_id for mesh in meshes], num_faces), 0).astype(np.uint8)
+        self._mesh_F = np.repeat(np.arange(len(meshes)), num_faces).astype(np.int32)
+        self._seg_F = np.append(np.repeat([mesh.seg_id for mesh in meshes], num_faces), 0).astype(
+            np.uint8
+        )  # last: no face (-1)
         textures = [texture_of(mesh) for mesh in meshes]
         self._paint = (
             np.array([texture.kind for texture in textures], dtype=np.int32),
@@ -52,12 +53,11 @@ class Renderer:
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
         K_33, size = camera.K_33, (camera.height_px, camera.width_px)
         cam_T_mesh_M44 = inverse(camera.world_T_cam_44) @ world_T_mesh_M44
-        nearness, face = rasterise(self._vertices_P3, self._start_M, self._faces_F3, cam_T_mesh_M44, K_33, *size)
-        depth = np.divide(1.0, nearness, out=np.zeros(size), where=face >= 0)
-        lit = lit_points(depth, face, self._mesh_F, self._normal_T_obj_F34, inverse(cam_T_mesh_M44), lights_M23, K_33)
+        depth, face = rasterise(self._vertices_P3, self._start_M, self._faces_F3, cam_T_mesh_M44, K_33, *size)
+        lit = lit_points(depth, face, self._mesh_F, self._normal_F44, inverse(cam_T_mesh_M44), lights_M23, K_33)
         rgb = sky(camera.world_T_cam_44, K_33, *size)
-        colour(lit, depth / K_33[0, 0], self._mesh_F[face], *self._paint, rgb)
-        return rgb, depth.astype(np.float32), self._seg_F[face]
+        colour(lit, depth, face, K_33[0, 0], self._mesh_F, *self._paint, rgb)
+        return rgb, depth.astype(np.float32), self._seg_F.take(face, mode="wrap")
 
 
 def _joined(parts: list[Floats], empty_shape: tuple[int, ...]) -> Floats:

@@ -65,7 +65,7 @@ def mesh_poses(step: Step) -> Floats:
     return np.concatenate([np.eye(4)[None], step.world_T_link_L44, step.world_T_obj_N44])
 
 
-def _mesh(  # noqa: PLR0913
+def _mesh(
     vertices: Floats, faces: NDArray[np.int32], seg_id: int, pose_i: int, rgb: Floats, texture_seed: int | None
 ) -> RenderMesh:
     return RenderMesh(

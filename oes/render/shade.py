@@ -21,7 +21,7 @@ GRID_M, LINE_M = 0.10, 0.003
 @compiled
 def lattice_value(x: int, y: int, z: int) -> float:
     """A fixed pseudo-random number in 0..1 at a lattice point."""
-    return LATTICE[((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (LATTICE_SIZE - 1)]
+    return float(LATTICE[((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (LATTICE_SIZE - 1)])
 
 
 @compiled
@@ -49,7 +49,7 @@ def soft_square(x: float, softness: float) -> float:
     """A square wave of period 2 between -1 and 1 whose edges are ``softness`` wide."""
     phase = x - 2.0 * np.floor(x * 0.5)
     edge = 0.5 - abs(phase - 1.0)  # distance to the nearest edge, negative in the other half
-    return max(-1.0, min(1.0, 2.0 * edge / softness))
+    return float(max(-1.0, min(1.0, 2.0 * edge / softness)))
 
 
 @compiled
@@ -61,9 +61,9 @@ def wood(x: float, y: float, pixel_m: float) -> float:
     u, v = x * (1 / GRID_M), y * (1 / GRID_M)
     to_line = min(abs(u - np.floor(u + 0.5)), abs(v - np.floor(v + 0.5))) * GRID_M
     if to_line > LINE_M + 0.5 * pixel_m:
-        return tone + grain
+        return float(tone + grain)
     cover = min(1.0, 0.5 + (LINE_M - to_line) / pixel_m) * min(1.0, 2 * LINE_M / pixel_m)
-    return tone + grain + 0.5 * cover
+    return float(tone + grain + 0.5 * cover)
 
 
 @compiled
@@ -78,7 +78,7 @@ def blend(kind: int, x: float, y: float, z: float, softness: float) -> float:
     if kind == NOISE:
         return max(0.0, min(1.0, 0.5 + 2.5 * (value_noise(x, y, z) - 0.5)))
     if kind == GRADIENT:
-        return max(0.0, min(1.0, 0.5 + 0.5 * (x - 0.5)))
+        return float(abs(x - 2.0 * np.floor(x * 0.5) - 1.0))
     return 0.0
 
 
@@ -100,18 +100,18 @@ def lit_points(
     depth_m_HW: Floats,
     face_HW: Ints,
     mesh_F: Ints,
-    normal_T_obj_F34: Floats,
+    normal_F44: Floats,
     obj_T_cam_M44: Floats,
     lights_M23: Floats,
     K_33: Floats,
 ) -> Floats:
     """The point that every pixel sees, in its mesh's own frame, and how brightly it is lit (HW4: x, y, z, brightness).
 
-    ``normal_T_obj_F34`` are ``normals.normal_maps``, ``lights_M23`` those of ``lights``; the seen side is lit.
+    ``normal_F44`` are ``normals.normal_maps``, ``lights_M23`` those of ``lights``; the side that is seen is lit.
     """
     height, width = face_HW.shape
     lit_HW4 = np.empty((height, width, 4))
-    T, N, L = obj_T_cam_M44, normal_T_obj_F34, lights_M23
+    T, N, L = obj_T_cam_M44, normal_F44, lights_M23
     rays_per_px, skew = 1.0 / K_33[0, 0], K_33[0, 1]
     for row in range(height):
         ray_y = (row + 0.5 - K_33[1, 2]) / K_33[1, 1]
@@ -129,7 +129,7 @@ def lit_points(
             ny = N[f, 1, 0] * x + N[f, 1, 1] * y + N[f, 1, 2] * z + N[f, 1, 3]
             nz = N[f, 2, 0] * x + N[f, 2, 1] * y + N[f, 2, 2] * z + N[f, 2, 3]
             scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
-            if way_x * nx + way_y * ny + way_z * nz > 0.0:
+            if way_x * N[f, 3, 0] + way_y * N[f, 3, 1] + way_z * N[f, 3, 2] > 0.0:
                 scale = -scale
             lamp = (L[m, 0, 0] * nx + L[m, 0, 1] * ny + L[m, 0, 2] * nz) * scale
             up = (L[m, 1, 0] * nx + L[m, 1, 1] * ny + L[m, 1, 2] * nz) * scale
@@ -141,21 +141,23 @@ def lit_points(
 @compiled
 def colour(
     lit_HW4: Floats,
-    pixel_m_HW: Floats,
-    mesh_HW: Ints,
+    depth_m_HW: Floats,
+    face_HW: Ints,
+    focal_px: float,
+    mesh_F: Ints,
     kind_M: Ints,
     rgb_M23: Floats,
     cell_m_M: Floats,
     cell_T_obj_M34: Floats,
     rgb_HW3: NDArray[np.uint8],
 ) -> None:
-    """Paint every pixel that sees a mesh (``mesh_HW`` >= 0) with that mesh's texture, as bright as it is lit."""
+    """Paint every pixel that sees a face (``face_HW`` >= 0) with its mesh's texture, as bright as it is lit."""
     T, C = cell_T_obj_M34, rgb_M23
-    for row in range(mesh_HW.shape[0]):
-        for column in range(mesh_HW.shape[1]):
-            m = mesh_HW[row, column]
-            if m < 0:
+    for row in range(face_HW.shape[0]):
+        for column in range(face_HW.shape[1]):
+            if face_HW[row, column] < 0:
                 continue
+            m = mesh_F[face_HW[row, column]]
             share = 0.0
             if kind_M[m] != PLAIN:
                 x, y, z = lit_HW4[row, column, 0], lit_HW4[row, column, 1], lit_HW4[row, column, 2]
@@ -164,7 +166,7 @@ def colour(
                     T[m, 0, 0] * x + T[m, 0, 1] * y + T[m, 0, 2] * z + T[m, 0, 3],
                     T[m, 1, 0] * x + T[m, 1, 1] * y + T[m, 1, 2] * z + T[m, 1, 3],
                     T[m, 2, 0] * x + T[m, 2, 1] * y + T[m, 2, 2] * z + T[m, 2, 3],
-                    pixel_m_HW[row, column] / cell_m_M[m],
+                    depth_m_HW[row, column] / (focal_px * cell_m_M[m]),
                 )
             bright = 255.0 * lit_HW4[row, column, 3]
             for i in range(3):

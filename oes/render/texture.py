@@ -55,4 +55,4 @@ def _two_colours(rng: np.random.Generator) -> Floats:
     hues = np.array([hue, (hue + rng.uniform(90, 270)) % 360])
     hsv = np.stack([hues, rng.uniform(0.55, 0.9, 2), np.array([rng.uniform(0.8, 1.0), rng.uniform(0.35, 0.6)])], axis=1)
     rgb = cv2.cvtColor(hsv[None].astype(np.float32), cv2.COLOR_HSV2RGB)[0].astype(np.float64)
-    return rgb[rng.permutation(2)]
+    return np.asarray(rgb[rng.permutation(2)])

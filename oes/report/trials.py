@@ -13,10 +13,10 @@ from oes.report.table import Table
 
 OURS = "oes"
 NOTE = (
-    "A trial succeeds when the mean distance of its objects to their goals is within the tolerance at the end (the paper's "
-    "rule); 'success of every object' asks it of each. Each push is the best of random ones (random shooting, as in the "
-    "paper), planned from one new image of one random camera; a push that no forecast favours is not made. All models have "
-    "the same starts, goals, cameras and perception. p: exact McNemar test on the paired trials."
+    "A trial succeeds when the mean distance of its objects to their goals is within the tolerance at the end (the "
+    "paper's rule); 'success of every object' asks it of each. Each push is the best of random ones (random shooting, "
+    "as in the paper), planned from one new image of one random camera; a push that no forecast favours is not made. "
+    "All models have the same starts, goals, cameras and perception. p: exact McNemar test on the paired trials."
 )
 
 

@@ -34,7 +34,7 @@ class PushWorld:
         self._world.__exit__(kind, error, trace)
 
     def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_xy_m: Floats) -> None:
-        """Start a trial: bodies put on the table and left to settle, the rod down at ``tip_xy_m``. Raises ReachError."""
+        """Start a trial: bodies put on the table, left to settle, the rod down at ``tip_xy_m``. Raises ReachError."""
         self._world.reset(bodies, world_T_obj_N44, self._tip(tip_xy_m))
         self._world.run(self._settle_ms)
         self._world.clear_contacts()
