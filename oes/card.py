@@ -101,7 +101,7 @@ def _words(card: Mapping[str, Any]) -> str:
         "",
         f"{card['episodes']} episodes ({objects} objects); {card['rejected_attempts']} attempts rejected on the way.",
         f"Two objects touch in {100 * card['share_object_contact']:.0f}% of the episodes. The rod keeps to its",
-        f"commanded path within {card['rod_rms_mm']['mean']:.3f} mm RMS (worst episode {card['rod_rms_mm']['max']:.3f} mm).",
+        f"commanded path within {card['rod_rms_mm']['mean']:.3f} mm RMS (worst {card['rod_rms_mm']['max']:.3f} mm).",
         "",
         "| T | all objects: mean mm | median mm | most moved: mean mm | episodes with over 1 cm | mean turn, deg |",
         "|---|---|---|---|---|---|",
