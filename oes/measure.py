@@ -1,6 +1,7 @@
 """Errors and their statistics: numpy and scipy, no files. Every interval is at 95%."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +118,7 @@ def _by_group(values: Floats, groups: Ints) -> tuple[Floats, Floats]:
     return np.bincount(group_i, weights=values).astype(np.float64), np.bincount(group_i).astype(np.float64)
 
 
+@lru_cache(maxsize=8)
 def _draws(num_groups: int, seed: int) -> Floats:
     """How often each group comes up in each resample, R x G."""
     rng = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ def main(
 ) -> None:
     """Write ``errors.csv`` to ``out``."""
     forecast = forecaster(load(dynamics), load_catalogue(meshes), cfg)
-    with work_dir(out, (cfg, task, model, [dynamics])) as work:
+    with work_dir(out, (cfg, task, model, [meshes, episodes, objects, dynamics])) as work:
         with (work / "errors.csv").open("w", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
             writer.writeheader()

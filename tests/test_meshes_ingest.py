@@ -53,7 +53,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     holed.update_faces(np.arange(12) != 5)
     holed.export(root / "toys" / "holed.ply")
     trimesh.creation.icosphere(subdivisions=4).export(root / "toys" / "fine.ply")
-    pair = [box, box.copy().apply_translation((0.3, 0.2, 0.0))]
+    tall = trimesh.creation.box((0.3, 0.2, 0.2))
+    pair = [tall, tall.copy().apply_translation((0.3, 0.2, 0.0))]
     merged = trimesh.util.concatenate(pair)
     merged.merge_vertices()
     merged.export(root / "toys" / "sharing an edge.obj")

@@ -1,10 +1,8 @@
 """Trained models on disk: ``model.safetensors`` with the model's word and its config as JSON metadata."""
 
-import os
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from oes.config import from_json, to_json
@@ -12,6 +10,7 @@ from oes.dynamics import MODELS
 from oes.dynamics.bounds import Simulator
 from oes.dynamics.models import Learned, Net, Seen
 from oes.dynamics.unroll import Model
+from oes.weights import write_tensors
 
 FILE = "model.safetensors"
 FORMAT = "oes-dynamics-1"
@@ -27,9 +26,7 @@ def save_model(folder: Path, model: nn.Module) -> None:
     about = {"format": FORMAT, "model": word}
     if isinstance(model, Learned):
         about |= {"net": to_json(model.net), "seen": to_json(model.seen)}
-    part = folder / f"{FILE}.part"
-    save_file({name: value.contiguous() for name, value in model.state_dict().items()}, part, about)
-    os.replace(part, folder / FILE)
+    write_tensors(model.state_dict(), folder / FILE, about)
 
 
 def load_model(folder: Path) -> Model:

@@ -55,7 +55,7 @@ def placed(draft: Draft, longest_m: float, cfg: Stand) -> tuple[Draft, Mass]:
     draft = draft.mapped(rest_44)
     extents_3 = draft.visual.extents
     aspect = extents_3.max() / extents_3.min()
-    if aspect > cfg.max_aspect:
+    if aspect > cfg.max_aspect * (1 + 1e-6):
         raise Rejected(f"sides {aspect:.1f} to 1, at most {cfg.max_aspect:g}")
     scale = longest_m / extents_3[:2].max()
     matrix_44 = np.diag([scale, scale, scale, 1.0])
@@ -65,11 +65,14 @@ def placed(draft: Draft, longest_m: float, cfg: Stand) -> tuple[Draft, Mass]:
 
 
 def draft_mass(draft: Draft) -> Mass:
-    """From the visual surface when it bounds a plausible solid, else from the union of the parts."""
-    solid = fill(draft.parts)
-    if draft.visual.is_volume and 0.3 * solid.volume < draft.visual.volume < 1.05 * solid.volume:
+    """From the visual surface when it bounds a plausible solid, else from the union of the parts.
+
+    Plausible: surfaces nested or doubled inside one another hold more than the parts do, inside-out ones far less.
+    """
+    parts_m3 = sum(part.volume for part in draft.parts)
+    if draft.visual.is_volume and 0.2 * parts_m3 < draft.visual.volume < 1.05 * parts_m3:
         return solid_mass(draft.visual)
-    return solid_mass(solid)
+    return solid_mass(fill(draft.parts))
 
 
 def resting(hull: trimesh.Trimesh, com_3: Floats) -> tuple[Floats, float]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor
 from tqdm import tqdm
 
@@ -22,6 +22,7 @@ from oes.percept.perceiver import Perceiver
 from oes.percept.samples import Source
 from oes.percept.solids import Solids
 from oes.percept.store import Draw, joined, pack
+from oes.weights import write_tensors
 
 FIXED, TRUE, JITTERED, FOUND = "fixed", "true", "jittered", "found"
 SCORED_VIEWS = (1, 3)
@@ -169,6 +170,4 @@ def _write_shard(observer: Observer, episode_is: range, path: Path) -> None:
     path.with_suffix(".json").write_text(json.dumps(rows))
     draws = [draw for parts in found for draw in parts[0]]
     most = max(setting.views for setting in observer.settings.values() if isinstance(setting.views, int))
-    part = path.with_suffix(".part")
-    save_file(pack(draws, list(observer.settings), most), part)
-    part.replace(path)
+    write_tensors(pack(draws, list(observer.settings), most), path, {})

@@ -8,7 +8,6 @@ import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from oes.config import ParamsError, from_json, to_json
@@ -19,6 +18,7 @@ from oes.objects import Objects
 from oes.percept.blocks import half_precision
 from oes.percept.lift import Views, views_of
 from oes.percept.network import Network, PerceptionNet, Scene
+from oes.weights import write_tensors
 
 FORMAT = "oes-perception-1"
 IMAGE_PX = 32
@@ -48,8 +48,8 @@ class Perceiver:
 
     def save(self, path: Path) -> None:
         """Weights as safetensors, the config as JSON in its metadata."""
-        tensors = {name: value.cpu().contiguous() for name, value in self.net.state_dict().items()}
-        save_file(tensors, path, {"format": FORMAT, "config": to_json(self.net.cfg)})
+        tensors = {name: value.cpu() for name, value in self.net.state_dict().items()}
+        write_tensors(tensors, path, {"format": FORMAT, "config": to_json(self.net.cfg)})
 
     @torch.inference_mode()
     def encode(self, frames: Frames, cameras: Sequence[Camera]) -> Scene:

@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from oes.objects import Objects
+from oes.weights import write_tensors
 
 FORMAT = "oes-objects-1"
 DTYPES = {
@@ -126,7 +126,7 @@ def joined(shards: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
 
 def write_objects(path: Path, tensors: dict[str, Tensor], settings: Sequence[str]) -> None:
     """Write packed tensors; ``settings`` are the names that ``setting_D`` counts."""
-    save_file(tensors, path, {"format": FORMAT, "settings": json.dumps(list(settings))})
+    write_tensors(tensors, path, {"format": FORMAT, "settings": json.dumps(list(settings))})
 
 
 def read_objects(path: Path) -> ObjectStore:

@@ -1,4 +1,10 @@
-"""All views of one state at once."""
+"""All views of one state at once: a compiled z-buffer rasteriser, then shading of what is seen.
+
+Measured by ``benchmarks/render.py`` on table, arm and three objects, 27 views of 128 x 128 pixels: about 7 times the
+views a second per core of a loop over Bullet's TinyRenderer with the same outputs. Ray casting through Embree, inside
+projected rectangles and without the table, gave under 3 times for its hits alone: every state needs its tree rebuilt,
+and most triangles of an arm seen from 1 m are smaller than a pixel, which the rasteriser drops in a few nanoseconds.
+"""
 
 from collections.abc import Sequence
 

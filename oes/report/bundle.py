@@ -1,6 +1,5 @@
 """What reports/ keeps beside tables: the weights of the trained models, the contact sheet, some films."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -9,6 +8,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from oes.report.rows import Columns, select
+from oes.weights import ordered
 
 
 class WeightsError(ValueError):
@@ -29,15 +29,7 @@ def copy_half(source: Path, target: Path) -> None:
     if overflown:
         raise WeightsError(f"{source}: does not fit half precision: {', '.join(overflown)}")
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_bytes(_ordered(save(halved, about)))
-
-
-def _ordered(content: bytes) -> bytes:
-    """A safetensors file with its header in alphabetical order: the library's own order changes from run to run."""
-    length = int.from_bytes(content[:8], "little")
-    header = json.dumps(json.loads(content[8 : 8 + length]), sort_keys=True).encode()
-    header += b" " * (-len(header) % 8)
-    return len(header).to_bytes(8, "little") + header + content[8 + length :]
+    target.write_bytes(ordered(save(halved, about)))
 
 
 def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
@@ -52,7 +44,7 @@ def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
     for source in models:
         target = folder / "dynamics" / source.parent.name / source.name
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(_ordered(source.read_bytes()))
+        target.write_bytes(ordered(source.read_bytes()))
 
 
 def copy_films(trials: Path, rows: Columns, scenario: str, model: str, folder: Path) -> list[str]:
