@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from oes.config import ParamsError, from_json, to_json
+from oes.config import ParamsError, from_json, load, to_json
 from oes.episode import Body, Floats
 from oes.geom.boxes import hull
 from oes.geom.camera import project
@@ -22,10 +22,10 @@ from oes.sim.bodies import footprint, mass_frame, upright
 from oes.sim.pushing import PushWorld
 from oes.sim.rig import rig
 from oes.sim.robot import robot_shape
+from oes.sim.simulate import Episodes
 from oes.sim.world import FIRST_OBJECT, ROBOT, TABLE, Sim, World, count_steps
-from tests.blocks import read_sim
 
-SIM = read_sim()
+SIM = load(Path("params.yaml"), "episodes", Episodes).sim
 ORIGIN_TIP = np.array([0.0, 0.0, SIM.robot.tip_height_m])
 
 
