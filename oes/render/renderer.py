@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.episode import Camera, Floats, Frames
+from oes.episode import SEG_NOTHING, Camera, Floats, Frames
 from oes.geom.se3 import inverse
 from oes.render.normals import normal_maps
 from oes.render.raster import rasterise
@@ -33,9 +33,8 @@ class Renderer:
         self._normal_F44 = _joined([normal_maps(mesh.vertices_P3, mesh.faces_F3) for mesh in meshes], (0, 4, 4))
         num_faces = [len(mesh.faces_F3) for mesh in meshes]
         self._mesh_F = np.repeat(np.arange(len(meshes)), num_faces).astype(np.int32)
-        self._seg_F = np.append(np.repeat([mesh.seg_id for mesh in meshes], num_faces), 0).astype(
-            np.uint8
-        )  # last: no face (-1)
+        seg_F = np.repeat([mesh.seg_id for mesh in meshes], num_faces)
+        self._seg_F = np.append(seg_F, SEG_NOTHING).astype(np.uint8)  # the last is for no face (-1)
         textures = [texture_of(mesh) for mesh in meshes]
         self._paint = (
             np.array([texture.kind for texture in textures], dtype=np.int32),
