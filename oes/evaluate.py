@@ -24,9 +24,10 @@ from oes.record.dataset import FrameSource
 from oes.report.build import forecast_tables, forecasts
 from oes.report.names import MODELS
 from oes.report.provenance import describe_machine, provenance, read_seeds
-from oes.report.rows import ERRORS, read_columns, write_csv
+from oes.report.rows import ERRORS, read_columns
 from oes.report.table import markdown, write_table
 from oes.rollout import COLUMNS, Rollouts, forecaster, split_rows
+from oes.rows import write_csv
 from oes.sim.simulate import Episodes, Split
 from oes.stage import PARAMS, publish, run, work_dir
 

@@ -1,6 +1,5 @@
 """dynamics: one model of object motion, trained through its unroll on perceived training scenes."""
 
-import csv
 import shutil
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from oes.dynamics.learn import learn
 from oes.dynamics.train import Dynamics
 from oes.percept.store import read_objects
 from oes.record.reader import list_episodes, read_episode
+from oes.rows import columns_of, write_csv
 from oes.stage import publish, run, work_dir
 
 
@@ -26,11 +26,7 @@ def main(cfg: Dynamics, task: str, model: str, episodes: Path, objects: Path, ou
         progress.mkdir(exist_ok=True)
         learned, log = learn(MODELS[model], cfg, scenes, recorded, progress)
         save_model(work, learned)
-        with (work / "log.csv").open("w", newline="") as file:
-            columns = list(dict.fromkeys(name for row in log for name in row)) or ["step"]
-            writer = csv.DictWriter(file, columns, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(log)
+        write_csv(work / "log.csv", log, columns_of(log) or ["step"])
         shutil.rmtree(progress)
         publish(work, out)
 

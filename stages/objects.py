@@ -1,6 +1,5 @@
 """objects: every episode's first state as perception sees it, under every setting; at test, scored too."""
 
-import csv
 import shutil
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from oes.percept.perceiver import Perceiver
 from oes.percept.solids import solids_of
 from oes.percept.store import write_objects
 from oes.record.dataset import FrameSource
+from oes.rows import write_csv
 from oes.stage import publish, run, work_dir
 
 
@@ -30,10 +30,7 @@ def main(cfg: Draws, task: str, split: str, meshes: Path, episodes: Path, percep
         write_objects(work / "objects.safetensors", tensors, list(observer.settings))
         if not is_train:
             for name, columns, rows in (("detections", DETECTION_COLUMNS, detections), ("views", VIEW_COLUMNS, views)):
-                with (work / f"{name}.csv").open("w", newline="") as file:
-                    writer = csv.DictWriter(file, columns, lineterminator="\n")
-                    writer.writeheader()
-                    writer.writerows(rows)
+                write_csv(work / f"{name}.csv", rows, columns)
         shutil.rmtree(progress)
         publish(work, out)
 

@@ -1,6 +1,5 @@
 """perception: views to a 3D feature map, the objects in it and images of it, trained on all states of the episodes."""
 
-import csv
 import shutil
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from oes.meshes.catalogue import load_catalogue
 from oes.percept.solids import solids_of
 from oes.percept.train import Perception, train
 from oes.record.dataset import FrameSource
+from oes.rows import columns_of, write_csv
 from oes.stage import publish, run, work_dir
 
 
@@ -22,10 +22,7 @@ def main(cfg: Perception, meshes: Path, episodes: Path, out: Path) -> None:
         solids = solids_of(load_catalogue(meshes), cfg.num_solid_points)
         perceiver, log = train(cfg, FrameSource(episodes), solids, progress, device)
         perceiver.save(work / "perception.safetensors")
-        with (work / "log.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(dict.fromkeys(name for row in log for name in row)), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(log)
+        write_csv(work / "log.csv", log, columns_of(log))
         shutil.rmtree(progress)
         publish(work, out)
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from oes.report.rows import write_csv
+from oes.rows import write_csv
 from oes.stage import publish, run, work_dir
 from oes.trial.contest import ROWS, Inputs, Trials, run_trials, trial_rows, write_videos
 

@@ -15,7 +15,8 @@ from oes.report.card import read_card
 from oes.report.names import MODELS, SETTINGS
 from oes.report.perception import BOX, DETECTIONS, VIEWS, detector_figures, view_figures
 from oes.report.provenance import describe_machine, read_seeds
-from oes.report.rows import ERRORS, TRIALS, RowsError, read_columns, write_csv
+from oes.report.rows import ERRORS, TRIALS, RowsError, read_columns
+from oes.rows import write_csv
 
 CFG = Tables(seed=0, profile="test", scenarios=("targets",))
 

@@ -10,9 +10,10 @@ import pytest
 from oes.report.forecast import Group, Line, forecast_table, lines, ratio
 from oes.report.metrics import forecast_tree, ratio_tree, trials_tree, write_json
 from oes.report.paper import FORECAST
-from oes.report.rows import ERRORS, TRIALS, RowsError, read_columns, select, write_csv
+from oes.report.rows import ERRORS, TRIALS, RowsError, read_columns, select
 from oes.report.table import latex, markdown, write_table
 from oes.report.trials import outcomes, trials_table
+from oes.rows import write_csv
 
 
 def _errors(path: Path) -> Path:

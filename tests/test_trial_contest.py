@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from oes.config import load
-from oes.report.rows import TRIALS, read_columns, write_csv
+from oes.report.rows import TRIALS, read_columns
+from oes.rows import write_csv
 from oes.trial.contest import ROWS, Inputs, ScenarioError, Trial, Trials, run_trials, trial_rows, write_videos
 from tests.blocks import SMOKE, make_catalogue, make_weights
 

@@ -80,14 +80,6 @@ def select(columns: Columns, **equal: object) -> Columns:
     return {name: values[keep] for name, values in columns.items()}
 
 
-def write_csv(path: Path, rows: Sequence[Mapping[str, object]], header: Sequence[str]) -> None:
-    """Rows under a header. Raises ValueError for a row with a key that the header lacks."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, header, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def optional_float(text: str) -> float:
     """A number, or NaN for an empty cell."""
     return float(text) if text else float("nan")

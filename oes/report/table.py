@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from oes.report.rows import write_csv
+from oes.rows import write_csv
 
 
 @dataclass(frozen=True)
