@@ -45,6 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for suffix in ("obj", "stl", "ply", "off"):
         box.export(root / f"good_{suffix}.{suffix}")
     trimesh.creation.box((0.3, 0.1, 0.2)).export(root / "good_glb.GLB".lower())
+    trimesh.creation.box((0.1, 0.1, 0.4)).export(root / "good_tower.stl")
     (root / "toys").mkdir()
     box.copy().apply_scale(30000.0).export(root / "toys" / "kilometres.obj")
     box.copy().apply_scale(1e-6).export(root / "toys" / "micrometres.obj")
@@ -109,14 +110,17 @@ def test_a_bad_file_is_rejected_with_its_reason(source: str, ingested: tuple[Cat
 def test_nothing_else_is_rejected_and_all_others_are_taken(ingested: tuple[Catalogue, dict[str, str]]) -> None:
     catalogue, rejected = ingested
     assert rejected.keys() == REASONS.keys()
-    assert len(catalogue.split("test")) == len(catalogue.meshes) == 11
+    assert len(catalogue.split("test")) == len(catalogue.meshes) == 12
     assert {mesh.category for mesh in catalogue.meshes.values()} == {"custom", "toys"}
 
 
 def test_any_unit_any_format_gives_one_canonical_frame(ingested: tuple[Catalogue, dict[str, str]], cfg: Meshes) -> None:
     for mesh in ingested[0].meshes.values():
-        assert cfg.size.min_m <= mesh.extents_m_3[:2].max() <= cfg.size.max_m
+        assert mesh.extents_m_3[2] <= cfg.ingest.max_height_m + 1e-7
+        if mesh.id != "good_tower":
+            assert cfg.size.min_m <= mesh.extents_m_3[:2].max() <= cfg.size.max_m
         np.testing.assert_allclose(mesh.visual.bounds.sum(0), 0, atol=1e-7)
+    np.testing.assert_allclose(ingested[0].meshes["good_tower"].extents_m_3, [0.03, 0.03, 0.12], atol=1e-7)
     for name in ("good_obj", "good_glb", "toys_kilometres", "toys_micrometres", "toys_soup", "toys_holed"):
         mesh = ingested[0].meshes[name]
         shape = mesh.extents_m_3 / mesh.extents_m_3.max()

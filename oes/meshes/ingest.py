@@ -32,12 +32,14 @@ PATIENCE = 10
 class Ingest:
     """How foreign files are read: which axis is up (GLB and ShapeNet: always y), and limits a file.
 
+    What would be taller than ``max_height_m`` at the size drawn for it is made smaller.
     ``limit_s`` is processor time, so that a busy machine rejects nothing more; ten times that by the clock ends it too.
     """
 
     up: str
     limit_s: float
     limit_gb: float
+    max_height_m: float
     repair: Repair
     stand: Stand
     convex: Convex
@@ -125,7 +127,9 @@ def prepare(candidate: Candidate, longest_m: float, cfg: Ingest, cache: Path) ->
     mesh, status = repaired(mesh, cfg.repair)
     parts = decompose(mesh, cfg.convex, cache)
     draft = Draft(candidate.id, candidate.category, candidate.source, status, mesh, parts)
-    return placed(draft, longest_m, cfg.stand)
+    draft, mass = placed(draft, longest_m, cfg.stand)
+    shrink = cfg.max_height_m / float(draft.visual.extents[2])
+    return (draft, mass) if shrink >= 1 else placed(draft, shrink * longest_m, cfg.stand)
 
 
 def _guarded(
