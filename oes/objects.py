@@ -12,7 +12,7 @@ class Objects:
 
     ``crop_NCXYZ``: C x 16 x 16 x 16 native-voxel crop centred at ``center_N3``, axis-aligned with the world.
     Channel 0 is the probability that a voxel belongs to the whole object (seen and unseen side); the
-    others are scene features multiplied by it, so that neither the robot nor a neighbour shows.
+    others (see ``oes.percept.perceiver.Perceiver.crops``) fade out a voxel off it: no robot, no neighbour shows.
     ``image_NV3HW``: uint8 RGB crop around the projected box in every input view; views that do not exist are
     zero, with ``view_NV`` False. ``camera_NV12``: the rows of world_T_cam (3x4) of every view.
     """

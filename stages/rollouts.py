@@ -1,14 +1,17 @@
 """rollouts: one model unrolled on every test split and setting; every error of every step is kept as a row."""
 
-import csv
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+
+from tqdm import tqdm
 
 from oes.dynamics.checkpoint import load
 from oes.meshes.catalogue import load_catalogue
 from oes.percept.store import read_objects
 from oes.record.reader import list_episodes, read_episode
 from oes.rollout import COLUMNS, Rollouts, forecaster, split_rows
+from oes.rows import write_csv
 from oes.stage import publish, run, work_dir
 
 
@@ -17,17 +20,17 @@ def main(
 ) -> None:
     """Write ``errors.csv`` to ``out``."""
     forecast = forecaster(load(dynamics), load_catalogue(meshes), cfg)
+
+    def rows() -> Iterator[dict[str, object]]:
+        for split in tqdm(cfg.settings, unit="split", disable=None):
+            store = read_objects(objects / f"{task}-{split}" / "objects.safetensors")
+            folders = list_episodes(episodes / f"{task}-{split}")
+            seen = sorted({store.episode(draw_i) for draw_i in range(len(store))})
+            recorded = {episode_i: read_episode(folders[episode_i]) for episode_i in seen}
+            yield from map(asdict, split_rows(forecast, store, recorded, (task, model, split), cfg))
+
     with work_dir(out, (cfg, task, model, [meshes, episodes, objects, dynamics])) as work:
-        with (work / "errors.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            for split in cfg.settings:
-                store = read_objects(objects / f"{task}-{split}" / "objects.safetensors")
-                folders = list_episodes(episodes / f"{task}-{split}")
-                seen = sorted({store.episode(draw_i) for draw_i in range(len(store))})
-                recorded = {episode_i: read_episode(folders[episode_i]) for episode_i in seen}
-                rows = split_rows(forecast, store, recorded, (task, model, split), cfg)
-                writer.writerows(asdict(row) for row in rows)
+        write_csv(work / "errors.csv", rows(), COLUMNS)
         publish(work, out)
 
 

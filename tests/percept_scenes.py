@@ -10,7 +10,7 @@ from oes.geom.boxes import hull
 from oes.geom.camera import intrinsics, look_at
 from oes.geom.se3 import inverse, rigid, rotation_z, transform
 from oes.geom.voxels import Grid
-from oes.percept.decoder import Decoder
+from oes.percept.decoder import Backdrop, Decoder
 from oes.percept.detector import Detector
 from oes.percept.lift import Lift
 from oes.percept.network import Network
@@ -88,7 +88,18 @@ def small_network() -> Network:
         map_features=4,
         detector=Detector(channels=16, anchor_m=0.12, sigma_m=0.04, num_peaks=4, min_score=0.3, max_iou=0.25),
         roi=Roi(count=16, voxel_m=0.01, channels=(16, 32), blocks=(1, 1), hidden=32),
-        decoder=Decoder(stride_px=2, num_samples=16, channels=16),
+        decoder=Decoder(
+            stride_px=2,
+            num_samples=16,
+            channels=16,
+            backdrop=Backdrop(
+                grid=Grid(min_m=(-0.8, -0.8, -0.3), shape=(16, 16, 12), voxel_m=0.1),
+                lift=Lift(truncation_m=0.15),
+                channels=(8, 16),
+                blocks=(1, 1),
+                num_samples=4,
+            ),
+        ),
     )
 
 

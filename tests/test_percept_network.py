@@ -49,7 +49,7 @@ def test_a_scene_of_nothing_gives_no_objects() -> None:
     boxes = seer.detect(scene)
     assert [len(value) for value in boxes] == [0, 0, 0]
     objects = seer.objects(scene, *boxes, nothing, cameras)
-    assert objects.crop_NCXYZ.shape == (0, 5, 16, 16, 16) and objects.image_NV3HW.shape == (0, 2, 3, 32, 32)
+    assert objects.crop_NCXYZ.shape == (0, 7, 16, 16, 16) and objects.image_NV3HW.shape == (0, 2, 3, 32, 32)
     rows = detection_rows(seer, scene, truth_of(world.episodes[0], 0, box_solids()))
     assert len(rows) == len(world.episodes[0].bodies) and all(row["score"] is None for row in rows)
     assert detector_figures([row | {"episode": 0} for row in rows])["ap_25"] == 0
@@ -61,8 +61,9 @@ def test_objects_hold_masked_features_and_the_image_around_each_box() -> None:
     frames, cameras = world.read(0, 0, [0, 3])
     centers, sizes = torch.tensor(step.center_N3), torch.tensor(step.size_N3)
     objects = seer.objects(seer.encode(frames, cameras), centers, sizes, torch.ones(len(centers)), frames, cameras)
-    mask = objects.crop_NCXYZ[:, :1]
+    mask, behind, hidden = objects.crop_NCXYZ[:, :3].unbind(1)
     assert 0 <= mask.min() and mask.max() <= 1
+    assert ((behind >= 0) & (behind <= 1)).all() and (hidden.max() > 0) and (behind[hidden > 0] > 0).all()
     color = np.random.default_rng(world.episodes[0].bodies[0].texture_seed).integers(60, 255, 3)
     np.testing.assert_allclose(objects.image_NV3HW[0, :, :, 16, 16], np.tile(color, (2, 1)), atol=1)
     np.testing.assert_allclose(objects.camera_NV12[0, 1].reshape(3, 4), cameras[1].world_T_cam_44[:3], atol=1e-6)
@@ -93,16 +94,16 @@ def test_broken_and_foreign_weights_are_refused_by_name(tmp_path: Path) -> None:
     seer = perceiver()
     seer.save(path)
     tensors, config = load_file(path), to_json(small_network())
-    save_file(tensors, path, {"format": "oes-perception-1", "config": config.replace('"hidden":32', '"hidden":48')})
+    save_file(tensors, path, {"format": "oes-perception-2", "config": config.replace('"hidden":32', '"hidden":48')})
     with pytest.raises(CheckpointError, match="do not fit the stored config"):
         Perceiver.load(path)
-    save_file(tensors, path, {"format": "oes-perception-1", "config": config.replace("hidden", "width")})
+    save_file(tensors, path, {"format": "oes-perception-2", "config": config.replace("hidden", "width")})
     with pytest.raises(CheckpointError, match="hidden: missing"):
         Perceiver.load(path)
 
 
 def test_batches_depend_on_the_step_alone_and_never_ask_for_an_input_view() -> None:
-    sampler = Sampler(sampling(), 2, 0, GRID, BoxWorld(4), box_solids(), range(4))
+    sampler = Sampler(sampling(), 2, 1, 0, GRID, BoxWorld(4), box_solids(), range(4))
     once, twice, later = sampler.batch_at(5), sampler.batch_at(5), sampler.batch_at(6)
     torch.testing.assert_close(once.views.depth_m_BVHW, twice.views.depth_m_BVHW)
     torch.testing.assert_close(once.region_center_BN3, twice.region_center_BN3)
@@ -114,7 +115,7 @@ def test_batches_depend_on_the_step_alone_and_never_ask_for_an_input_view() -> N
 def test_training_on_one_scene_finds_its_objects() -> None:
     torch.manual_seed(0)
     net, world = PerceptionNet(small_network()), BoxWorld(1, seed=2)
-    sampler = Sampler(sampling(), 1, 0, GRID, world, box_solids(), [0])
+    sampler = Sampler(sampling(), 1, 0, 0, GRID, world, box_solids(), [0])
     batch = sampler.batch_at(0)
     optimizer = torch.optim.Adam(net.parameters(), 3e-3)
     history = []

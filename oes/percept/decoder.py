@@ -1,4 +1,9 @@
-"""View prediction: the feature map seen from any camera, by compositing it along rays and decoding the image in 2D."""
+"""View prediction: the feature map seen from any camera, by compositing it along rays and decoding the image in 2D.
+
+Around and behind the scene map stands a coarser backdrop, lifted from the same views: most of the arm is there.
+"""
+
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -6,79 +11,185 @@ from torch import Tensor, nn
 
 from oes.config import params
 from oes.geom.se3 import transform
-from oes.geom.voxels import Grid, sample
+from oes.geom.voxels import Grid, centers, fold_order, sample, unfold
+from oes.percept.blocks import UNet
+from oes.percept.lift import NUM_GEOMETRY, Lift, Views, lift
 
 NUM_RAY_CHANNELS = 8
+CLEAR_LOGIT, DENSE_LOGIT = 3.0, 10.0
+MEMORY_GAIN = 10.0  # one voxel learns alone what a shared weight learns from many: it must move faster
+
+
+@params
+class Backdrop:
+    """A coarse map of what surrounds the scene map, from a U-Net of its own on 2x2x2 blocks."""
+
+    grid: Grid
+    lift: Lift
+    channels: tuple[int, ...]
+    blocks: tuple[int, ...]
+    num_samples: int
 
 
 @params
 class Decoder:
-    """One ray per ``stride_px`` x ``stride_px`` pixels, ``num_samples`` samples where it crosses the grid."""
+    """One ray per ``stride_px`` x ``stride_px`` pixels, ``num_samples`` samples where it crosses the scene map.
+
+    Before and after it the backdrop is sampled, ``backdrop.num_samples`` times each.
+    """
 
     stride_px: int
     num_samples: int
     channels: int
+    backdrop: Backdrop
+
+
+@dataclass(frozen=True)
+class Field:
+    """A volume BCXYZ on a grid; channel 0 is a density, the others are what it looks like."""
+
+    volume_BCXYZ: Tensor
+    grid: Grid
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays of one image a scene: world origin B3, unit directions BP3."""
+
+    origin_B3: Tensor
+    direction_BP3: Tensor
+
+
+class FieldHead(nn.Module):
+    """Coarse features, with the lifted views they were made from, to a map of 2x2x2 times the resolution.
+
+    It starts out as what the views show: dense on and behind seen surfaces (channel 0), in their colours (the next 3).
+    ``memory`` is what every scene of the lab has, seen or not: the table, the pedestal.
+    """
+
+    def __init__(self, inputs: int, lifted: int, rest: int, channels: int, coarse: tuple[int, int, int]) -> None:
+        super().__init__()
+        self.memory = nn.Parameter(torch.zeros(8 * channels, *coarse))
+        self.layer = nn.Conv3d(inputs + 8 * lifted + rest, 8 * channels, 1)
+        weight, bias = torch.zeros(8, channels, self.layer.in_channels), torch.zeros(8, channels)
+        bias[:, 0] = CLEAR_LOGIT - DENSE_LOGIT / 2
+        for sub_i in range(8):
+            first = inputs + sub_i * lifted
+            weight[sub_i, 0, first : first + 2] = torch.tensor([-DENSE_LOGIT, DENSE_LOGIT])
+            weight[sub_i, 1:4, first + NUM_GEOMETRY : first + NUM_GEOMETRY + 3] = torch.eye(3)
+        with torch.no_grad():
+            self.layer.weight.mul_(0.1).add_(weight.reshape(self.layer.weight.shape))
+            self.layer.bias = nn.Parameter(bias.flatten())
+
+    def forward(self, coarse_BCXYZ: Tensor, lifted_BCXYZ: Tensor) -> Tensor:
+        """The map BCXYZ in float32."""
+        return unfold(self.layer(torch.cat([coarse_BCXYZ, lifted_BCXYZ], dim=1)).float() + MEMORY_GAIN * self.memory)
+
+
+class BackdropNet(nn.Module):
+    """Views and their features to the backdrop's field."""
+
+    points: Tensor
+
+    def __init__(self, cfg: Backdrop, lifted: int, map_channels: int) -> None:
+        super().__init__()
+        self.cfg = cfg
+        self.register_buffer("points", fold_order(centers(cfg.grid)), persistent=False)
+        self.net = UNet(8 * lifted + 3, cfg.channels, cfg.blocks)
+        self.map = FieldHead(cfg.channels[0], lifted, 3, map_channels, cfg.grid.halved().shape)
+
+    def forward(self, views: Views, features_BVHWC: Tensor) -> Field:
+        """Where a thing is in the world is an input too: the robot's base never moves."""
+        batch, side = len(features_BVHWC), self.points.shape[:3]
+        points = self.points.reshape(1, -1, 3).expand(batch, -1, -1)
+        lifted = lift(self.cfg.lift, views, features_BVHWC, points).reshape(batch, *side, -1)
+        place = self.points.mean(dim=3).expand(batch, *side, 3).to(lifted.dtype)
+        inputs = torch.cat([lifted, place], dim=-1).movedim(-1, 1)
+        return Field(self.map(self.net(inputs), inputs), self.cfg.grid)
 
 
 class ViewDecoder(nn.Module):
-    """Channel 0 of the map is a density; the others are composited along each ray, then a 2D net paints the image."""
+    """Composites scene map and backdrop along each ray; a 2D net refines the colours so found (features 0 to 2)."""
 
     def __init__(self, cfg: Decoder, map_channels: int) -> None:
         super().__init__()
         self.cfg = cfg
         width = cfg.channels
-        self.first = nn.Conv2d(map_channels - 1 + NUM_RAY_CHANNELS, width, 3, padding=1)
-        self.middle = nn.ModuleList(nn.Conv2d(width, width, 3, padding=1) for _ in range(3))
-        self.last = nn.Conv2d(width, 3 * cfg.stride_px**2, 3, padding=1)
+        self.first = _conv(map_channels - 1 + NUM_RAY_CHANNELS, width)
+        self.middle = nn.ModuleList(_conv(width, width) for _ in range(3))
+        self.last = _conv(width, 3 * cfg.stride_px**2)
 
     def forward(
-        self, map_BCXYZ: Tensor, grid: Grid, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
+        self, near: Field, backdrop: Field, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
     ) -> Tensor:
-        """RGB BHW3 in [0, 1] as the cameras see it; ``size`` is (height, width) in pixels, divisible by the stride."""
-        rays = self._composite(map_BCXYZ, grid, K_B33, world_T_cam_B44, size)
-        x = F.relu(self.first(rays.contiguous(memory_format=torch.channels_last)))
+        """RGB BHW3, about [0, 1], as the cameras see it; ``size`` is (height, width), divisible by the stride."""
+        height, width = size[0] // self.cfg.stride_px, size[1] // self.cfg.stride_px
+        with torch.autocast(K_B33.device.type, enabled=False):  # bfloat16 has too few digits for rays
+            rays = rays_of(K_B33, world_T_cam_B44, (height, width), self.cfg.stride_px)
+            seen = self._seen(near, backdrop, rays).transpose(1, 2).reshape(len(K_B33), -1, height, width)
+        x = F.relu(self.first(seen.contiguous(memory_format=torch.channels_last)))
         for conv in self.middle:
             x = F.relu(x + conv(x))
-        image = F.pixel_shuffle(self.last(x).float(), self.cfg.stride_px).sigmoid()
-        return image.movedim(1, -1)
+        colors = F.interpolate(seen[:, :3], size=size, mode="bilinear", align_corners=False)
+        return (colors + F.pixel_shuffle(self.last(x).float(), self.cfg.stride_px)).movedim(1, -1)
 
-    def _composite(
-        self, map_BCXYZ: Tensor, grid: Grid, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
-    ) -> Tensor:
-        """Alpha-composited features, opacity, expected distance, ray origin and direction: BChw, one pixel a ray."""
-        height, width = size[0] // self.cfg.stride_px, size[1] // self.cfg.stride_px
-        origin, direction = _rays(K_B33, world_T_cam_B44, (height, width), self.cfg.stride_px)
-        near, far = _crossing(origin, direction, grid)
-        steps = (torch.arange(self.cfg.num_samples, device=near.device) + 0.5) / self.cfg.num_samples
-        distance = near[..., None] + (far - near)[..., None] * steps
-        points = origin[:, None, None] + direction[:, :, None] * distance[..., None]
-        values = sample(map_BCXYZ, grid, points.flatten(1, 2)).reshape(*distance.shape, -1)
-        length = (far - near)[..., None] / self.cfg.num_samples / grid.voxel_m
-        clear = -F.softplus(values[..., 0]) * length
-        through = torch.cat([torch.zeros_like(clear[..., :1]), clear.cumsum(-1)], dim=-1).exp()
-        weight = through[..., :-1] - through[..., 1:]
-        features = (weight[..., None] * values[..., 1:]).sum(-2)
-        seen = torch.stack([1 - through[..., -1], (weight * distance).sum(-1)], dim=-1)
-        rays = torch.cat([features, seen, origin[:, None].expand_as(direction), direction], dim=-1)
-        return rays.transpose(1, 2).reshape(len(rays), -1, height, width)
+    def _seen(self, near: Field, backdrop: Field, rays: Rays) -> Tensor:
+        """BPC: composited features, opacity, expected distance, origin and direction of each ray."""
+        enter, leave = crossing(rays, near.grid)
+        first, last = crossing(rays, backdrop.grid)
+        is_missed = leave <= enter
+        middle = (first + last) / 2
+        enter, leave = torch.where(is_missed, middle, enter), torch.where(is_missed, middle, leave)
+        parts = (
+            march(backdrop, rays, (first, torch.maximum(first, enter)), self.cfg.backdrop.num_samples),
+            march(near, rays, (enter, leave), self.cfg.num_samples),
+            march(backdrop, rays, (leave, torch.maximum(leave, last)), self.cfg.backdrop.num_samples),
+        )
+        features, distance, opacity = composite(*(torch.cat(values, dim=2) for values in zip(*parts, strict=True)))
+        origin = rays.origin_B3[:, None].expand_as(rays.direction_BP3)
+        return torch.cat([features, opacity[..., None], distance[..., None], origin, rays.direction_BP3], dim=-1)
 
 
-def _rays(K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int], stride_px: int) -> tuple[Tensor, Tensor]:
-    """World origin B3 and unit directions BP3 of the rays through the centres of stride x stride pixel blocks."""
+def _conv(inputs: int, outputs: int) -> nn.Conv2d:
+    """3x3 convolution that keeps the size and continues the image past its border."""
+    return nn.Conv2d(inputs, outputs, 3, padding=1, padding_mode="replicate")
+
+
+def march(field: Field, rays: Rays, chord: tuple[Tensor, Tensor], count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """``count`` samples between two distances BP of each ray: features BPSC, optical thickness BPS, distance BPS."""
+    start, length = chord[0], chord[1] - chord[0]
+    steps = (torch.arange(count, device=start.device) + 0.5) / count
+    distance = start[..., None] + length[..., None] * steps
+    points = rays.origin_B3[:, None, None] + rays.direction_BP3[:, :, None] * distance[..., None]
+    values = sample(field.volume_BCXYZ, field.grid, points.flatten(1, 2)).reshape(*distance.shape, -1)
+    thickness = F.softplus(values[..., 0] - CLEAR_LOGIT) * (length / count / field.grid.voxel_m)[..., None]
+    return values[..., 1:], thickness, distance
+
+
+def composite(features_BPSC: Tensor, thickness_BPS: Tensor, distance_BPS: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """What is seen along each ray: features BPC, distance BP (both weighted by visibility) and opacity BP."""
+    passed = torch.cat([torch.zeros_like(thickness_BPS[..., :1]), thickness_BPS.cumsum(-1)], dim=-1).neg().exp()
+    weight = passed[..., :-1] - passed[..., 1:]
+    features = (weight[..., None] * features_BPSC).sum(-2)
+    return features, (weight * distance_BPS).sum(-1), 1 - passed[..., -1]
+
+
+def rays_of(K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int], stride_px: int) -> Rays:
+    """The rays through the centres of stride x stride pixel blocks, row by row; ``size`` counts the blocks."""
     rows, columns = (torch.arange(count, device=K_B33.device) * stride_px + stride_px / 2 for count in size)
     v, u = torch.meshgrid(rows, columns, indexing="ij")
     pix = torch.stack([u, v, torch.ones_like(u)], dim=-1).reshape(1, -1, 3)
     rays_cam = pix @ torch.linalg.inv(K_B33).transpose(1, 2)
     origin = world_T_cam_B44[:, :3, 3]
-    return origin, F.normalize(transform(world_T_cam_B44, rays_cam) - origin[:, None], dim=-1)
+    return Rays(origin, F.normalize(transform(world_T_cam_B44, rays_cam) - origin[:, None], dim=-1))
 
 
-def _crossing(origin_B3: Tensor, direction_BP3: Tensor, grid: Grid) -> tuple[Tensor, Tensor]:
+def crossing(rays: Rays, grid: Grid) -> tuple[Tensor, Tensor]:
     """Distances BP at which rays enter and leave the grid's box; equal (a chord of no length) where they miss it."""
-    low = origin_B3.new_tensor(grid.min_m)
-    high = low + origin_B3.new_tensor(grid.size_m)
-    safe = torch.where(direction_BP3.abs() < 1e-6, 1e-6, direction_BP3)
-    first, second = (low - origin_B3)[:, None] / safe, (high - origin_B3)[:, None] / safe
+    low = rays.origin_B3.new_tensor(grid.min_m)
+    high = low + rays.origin_B3.new_tensor(grid.size_m)
+    safe = torch.where(rays.direction_BP3.abs() < 1e-6, 1e-6, rays.direction_BP3)
+    first, second = (low - rays.origin_B3)[:, None] / safe, (high - rays.origin_B3)[:, None] / safe
     near = torch.minimum(first, second).amax(-1).clamp(min=0)
     far = torch.maximum(first, second).amin(-1)
     return near, torch.maximum(near, far)

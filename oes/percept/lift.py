@@ -14,6 +14,7 @@ from oes.episode import Camera, Frames
 from oes.geom.se3 import inverse
 
 NUM_GEOMETRY = 4
+SIGNED, UNSEEN = 0, 3
 
 
 @params
@@ -31,6 +32,10 @@ class Views:
     depth_m_BVHW: Tensor
     K_BV33: Tensor
     world_T_cam_BV44: Tensor
+
+    def first(self, count: int) -> "Views":
+        """The views of the first ``count`` scenes."""
+        return Views(**{name: value[:count] for name, value in vars(self).items()})
 
     def to(self, device: torch.device | str) -> "Views":
         """The same views on another device."""
@@ -58,7 +63,7 @@ def lift(cfg: Lift, views: Views, features_BVHWC: Tensor, points_BP3: Tensor) ->
     """What the views say about each point, BP(4+C), the mean over the views that see it.
 
     Channels: signed distance in [-1, 1] (units of the truncation, positive in front, 0 where unseen), nearness of a
-    surface (1 on it), seen to be free, unseen by every view; then the features, weighted by nearness (0 off surfaces).
+    surface (1 on it), seen to be free, unseen by every view; then the features of surfaces in reach (0 where none is).
     """
     batch, points = points_BP3.shape[:2]
     distance, seen, near, free = points_BP3.new_zeros(4, batch, points).unbind(0)
@@ -75,7 +80,7 @@ def lift(cfg: Lift, views: Views, features_BVHWC: Tensor, points_BP3: Tensor) ->
         features = features.index_add(0, chosen, gathered * weight.flatten()[chosen, None].to(gathered.dtype))
     mean = seen.clamp(min=1)
     geometry = torch.stack([distance / mean, near / mean, free, (seen == 0).float()], dim=-1)
-    surface = features.reshape(batch, points, features.shape[1]) / mean[..., None].to(features.dtype)
+    surface = features.reshape(batch, points, features.shape[1]) / near.clamp(min=1e-3)[..., None].to(features.dtype)
     return torch.cat([geometry.to(features.dtype), surface], dim=-1)
 
 
@@ -83,10 +88,10 @@ def _look_up(views: Views, view: int, points_BP3: Tensor) -> tuple[Tensor, Tenso
     """For points BP3: flat pixel index over B H W, distance in front of the surface seen there, and if in the image."""
     depth_BHW = views.depth_m_BVHW[:, view]
     batch, height, width = depth_BHW.shape
-    cam_T_world = inverse(views.world_T_cam_BV44[:, view])
-    pix_A = views.K_BV33[:, view] @ cam_T_world[:, :3, :3]
-    pix_b = (views.K_BV33[:, view] @ cam_T_world[:, :3, 3:])[..., 0]
-    u, v, z = torch.baddbmm(pix_b[:, :, None], pix_A, points_BP3.transpose(1, 2)).unbind(1)
+    with torch.autocast(depth_BHW.device.type, enabled=False):  # bfloat16 has no half pixels past 128
+        cam_T_world = inverse(views.world_T_cam_BV44[:, view])
+        pix_T_world = views.K_BV33[:, view] @ cam_T_world[:, :3]
+        u, v, z = torch.baddbmm(pix_T_world[..., 3:], pix_T_world[..., :3], points_BP3.transpose(1, 2)).unbind(1)
     safe = z.clamp(min=1e-3)
     u, v = u / safe, v / safe
     inside = (z > 1e-3) & (u >= 0) & (u < width) & (v >= 0) & (v < height)

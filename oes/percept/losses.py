@@ -16,6 +16,7 @@ from oes.percept.roi import RoiOutput
 
 LOSS_TERMS = ("objectness", "box", "occupancy", "roi_box", "roi_score", "mask", "view")
 MATCH_M = 0.04
+EPSILON = 1e-6
 
 
 @dataclass(frozen=True)
@@ -107,9 +108,13 @@ def _score_loss(
 
 
 def _view_loss(net: PerceptionNet, scene: Scene, batch: Batch, count: int) -> Tensor:
-    """Mean absolute error of the predicted query image, RGB in [0, 1]."""
-    few = replace(scene, coarse_BCXYZ=scene.coarse_BCXYZ[:count])
+    """Mean absolute error of the predicted query images plus the mean of their root mean square errors, RGB in [0, 1].
+
+    The latter is what PSNR sees; alone it would blur what a single view cannot know.
+    """
+    few = scene.first(count)
     true = batch.query.rgb_BVHW3[:count, 0]
     size = (true.shape[1], true.shape[2])
     guess = net.render(few, batch.query.K_BV33[:count, 0], batch.query.world_T_cam_BV44[:count, 0], size)
-    return (guess - true).abs().mean()
+    error = (guess - true).flatten(1)
+    return error.abs().mean() + (error.square().mean(1) + EPSILON).sqrt().mean()

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from oes.config import params
 from oes.geom.voxels import Grid, centers, fold_order, unfold
 from oes.percept.blocks import UNet
-from oes.percept.decoder import Decoder, ViewDecoder
+from oes.percept.decoder import BackdropNet, Decoder, Field, FieldHead, ViewDecoder
 from oes.percept.detector import RARE_LOGIT, Detector, DetectorHead, apply_deltas, peaks, suppress
 from oes.percept.lift import NUM_GEOMETRY, Lift, Views, lift
 from oes.percept.roi import Roi, RoiHead, RoiOutput
@@ -35,16 +35,23 @@ class Network:
 
 @dataclass(frozen=True)
 class Scene:
-    """What the encoder knows of B scenes: the U-Net's features on blocks of 2x2x2 voxels, and the detector's output.
+    """What the encoder knows of B scenes, on blocks of 2x2x2 voxels: ``PerceptionNet.scene_map`` gives the fine map.
 
-    ``features_BVHWC``: the 2D net's, kept for lifting regions. ``PerceptionNet.scene_map`` gives the fine scene map.
+    ``features_BVHWC``: the 2D net's, kept for lifting regions; ``lifted_BCXYZ``: the U-Net's input, ``coarse_BCXYZ``
+    its output; then what the dense detector makes of that.
     """
 
     views: Views
     features_BVHWC: Tensor
+    lifted_BCXYZ: Tensor
     coarse_BCXYZ: Tensor
     objectness_BXYZ: Tensor
     deltas_B6XYZ: Tensor
+
+    def first(self, count: int) -> "Scene":
+        """The first ``count`` scenes."""
+        tensors = {name: value[:count] for name, value in vars(self).items() if name != "views"}
+        return Scene(views=self.views.first(count), **tensors)
 
 
 class ImageNet(nn.Module):
@@ -77,10 +84,11 @@ class PerceptionNet(nn.Module):
         self.register_buffer("voxels", centers(self.coarse_grid), persistent=False)
         self.image = ImageNet(cfg.image_features)
         self.unet = UNet(8 * lifted + 1, cfg.channels, cfg.blocks)
-        self.map = nn.Conv3d(cfg.channels[0], 8 * cfg.map_features, 1)
+        self.map = FieldHead(cfg.channels[0], lifted, 1, cfg.map_features, self.coarse_grid.shape)
         self.solid = nn.Conv3d(cfg.channels[0], 8, 1)
         self.detector = DetectorHead(cfg.channels[0], cfg.detector)
         self.roi = RoiHead(cfg.roi, cfg.lift, lifted, cfg.channels[0])
+        self.backdrop = BackdropNet(cfg.decoder.backdrop, lifted, cfg.map_features)
         self.decoder = ViewDecoder(cfg.decoder, cfg.map_features)
 
     def encode(self, views: Views) -> Scene:
@@ -91,12 +99,14 @@ class PerceptionNet(nn.Module):
         lifted = lift(self.cfg.lift, views, features, points)
         height = self.voxels[None, ..., 2:].expand(batch, -1, -1, -1, -1) / self.cfg.detector.anchor_m
         folded = torch.cat([lifted.reshape(batch, *self.coarse_grid.shape, -1), height.to(lifted.dtype)], dim=-1)
-        coarse = self.unet(folded.movedim(-1, 1))
-        return Scene(views, features, coarse, *self.detector(coarse))
+        inputs = folded.movedim(-1, 1)
+        coarse = self.unet(inputs)
+        return Scene(views, features, inputs, coarse, *self.detector(coarse))
 
-    def scene_map(self, coarse_BCXYZ: Tensor) -> Tensor:
-        """The 3D feature map BCXYZ on ``cfg.grid`` of scenes given by their coarse features."""
-        return unfold(self.map(coarse_BCXYZ)).float()
+    def scene_map(self, scene: Scene) -> Tensor:
+        """The 3D feature map BCXYZ on ``cfg.grid``; channel 0 is a density."""
+        field: Tensor = self.map(scene.coarse_BCXYZ, scene.lifted_BCXYZ)
+        return field
 
     def occupancy(self, coarse_BCXYZ: Tensor) -> Tensor:
         """Logits BXYZ on ``cfg.grid`` that a voxel belongs to any object, seen or not; table and robot are none."""
@@ -129,5 +139,6 @@ class PerceptionNet(nn.Module):
 
     def render(self, scene: Scene, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]) -> Tensor:
         """Predicted RGB BHW3 in [0, 1] from other cameras."""
-        image: Tensor = self.decoder(self.scene_map(scene.coarse_BCXYZ), self.cfg.grid, K_B33, world_T_cam_B44, size)
+        near, backdrop = Field(self.scene_map(scene), self.cfg.grid), self.backdrop(scene.views, scene.features_BVHWC)
+        image: Tensor = self.decoder(near, backdrop, K_B33, world_T_cam_B44, size)
         return image

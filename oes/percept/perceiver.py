@@ -13,15 +13,16 @@ from torch import Tensor
 from oes.config import ParamsError, from_json, to_json
 from oes.episode import Camera, Frames
 from oes.geom.camera import project
-from oes.geom.voxels import crop
+from oes.geom.voxels import centers, crop
 from oes.objects import Objects
 from oes.percept.blocks import half_precision
-from oes.percept.lift import Views, views_of
+from oes.percept.lift import SIGNED, UNSEEN, Views, lift, views_of
 from oes.percept.network import Network, PerceptionNet, Scene
 from oes.weights import write_tensors
 
-FORMAT = "oes-perception-1"
+FORMAT = "oes-perception-2"
 IMAGE_PX = 32
+NUM_SURFACE = 2
 IMAGE_MARGIN = 1.15
 
 
@@ -70,16 +71,29 @@ class Perceiver:
 
     @torch.inference_mode()
     def crops(self, scene: Scene, centers_BN3: Tensor, sizes_BN3: Tensor) -> Tensor:
-        """Object crops BNCXYZ centred at the boxes: mask probability, then scene features multiplied by it."""
-        boxes = (centers_BN3.to(self.device), sizes_BN3.to(self.device))
+        """Object crops BNCXYZ centred at the boxes; all but the first channel end about a voxel outside the mask.
+
+        Channels: mask probability; depth behind the surfaces that the views show (0 in front, 1/2 on them, 1 deep);
+        hidden from every view; then the scene features.
+        """
+        boxes, window = (centers_BN3.to(self.device), sizes_BN3.to(self.device)), self.net.roi.window
         if centers_BN3.numel() == 0:
-            channels = 1 + self.net.cfg.map_features
-            return centers_BN3.new_zeros(*centers_BN3.shape[:2], channels, *self.net.roi.window.shape)
+            channels = 1 + NUM_SURFACE + self.net.cfg.map_features
+            return centers_BN3.new_zeros(*centers_BN3.shape[:2], channels, *window.shape)
         with half_precision(self.device):
-            mask = self.net.regions(scene, boxes).mask_BKXYZ.sigmoid()[:, :, None]
-            scene_map = self.net.scene_map(scene.coarse_BCXYZ)
-        features = crop(scene_map, self.net.cfg.grid, boxes[0], self.net.roi.window)
-        return torch.cat([mask, features * mask], dim=2)
+            mask_BNXYZ = self.net.regions(scene, boxes).mask_BKXYZ.sigmoid()
+            scene_map = self.net.scene_map(scene)
+        around = F.max_pool3d(mask_BNXYZ, 3, stride=1, padding=1)[:, :, None]
+        features = crop(scene_map, self.net.cfg.grid, boxes[0], window)
+        return torch.cat([mask_BNXYZ[:, :, None], self._surfaces(scene, boxes[0]) * around, features * around], dim=2)
+
+    def _surfaces(self, scene: Scene, centers_BN3: Tensor) -> Tensor:
+        """The two geometric channels of ``crops``, BN2XYZ, straight from the depth images."""
+        window = self.net.roi.window
+        points = centers_BN3[:, :, None] + centers(window, self.device).reshape(-1, 3)
+        lifted = lift(self.net.cfg.lift, scene.views, scene.features_BVHWC[..., :1], points.flatten(1, 2)).float()
+        surfaces = torch.stack([(1 - lifted[..., SIGNED]) / 2, lifted[..., UNSEEN]], dim=-1)
+        return surfaces.reshape(*centers_BN3.shape[:2], *window.shape, NUM_SURFACE).movedim(-1, 2)
 
     @torch.inference_mode()
     def objects(
@@ -103,7 +117,7 @@ class Perceiver:
         world_T_cam = torch.from_numpy(camera.world_T_cam_44).float()[None].to(self.device)
         with half_precision(self.device):
             image = self.net.render(scene, K, world_T_cam, (camera.height_px, camera.width_px))[0]
-        return (image * 255).round().to(torch.uint8).cpu().numpy()
+        return (image.clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
 
 
 def objects_of(

@@ -73,10 +73,14 @@ def random_motion(cfg: Sampling, rng: np.random.Generator) -> Motion:
 
 @dataclass(frozen=True)
 class Sampler:
-    """Batches of some episodes of a source. ``grid`` bounds the objects that count: those whose centre lies inside."""
+    """Batches of some episodes of a source; the first ``num_still`` samples of each show the world unmoved.
+
+    ``grid`` bounds the objects that count: those whose centre lies inside.
+    """
 
     cfg: Sampling
     batch: int
+    num_still: int
     seed: int
     grid: Grid
     source: Source
@@ -87,14 +91,15 @@ class Sampler:
         """The batch of a training step: a function of the seed and the step alone."""
         rng = np.random.default_rng((self.seed, step))
         num_views = int(rng.choice(len(self.cfg.views_share), p=self.cfg.views_share)) + 1
-        return collate([self._random(num_views, rng) for _ in range(self.batch)])
+        motions = [STILL if i < self.num_still else random_motion(self.cfg, rng) for i in range(self.batch)]
+        return collate([self._random(num_views, motion, rng) for motion in motions])
 
-    def _random(self, num_views: int, rng: np.random.Generator) -> Batch:
+    def _random(self, num_views: int, motion: Motion, rng: np.random.Generator) -> Batch:
         episode_i = int(rng.choice(self.episode_is))
         steps = self.source.episodes[episode_i].steps
         step_i = int(rng.integers(len(steps)))
         cameras = rng.choice(len(steps[step_i].cameras), num_views + 1, replace=False)
-        return self.sample(episode_i, step_i, cameras.tolist(), random_motion(self.cfg, rng), rng)
+        return self.sample(episode_i, step_i, cameras.tolist(), motion, rng)
 
     def sample(
         self, episode_i: int, step_i: int, camera_is: Sequence[int], motion: Motion, rng: np.random.Generator

@@ -17,7 +17,7 @@ from torch import Tensor
 from oes.objects import Objects
 from oes.weights import write_tensors
 
-FORMAT = "oes-objects-1"
+FORMAT = "oes-objects-2"
 DTYPES = {
     "draw_O": torch.int32,
     "gt_O": torch.int32,

@@ -23,7 +23,7 @@ class Perception:
     """The section ``perception`` of params.yaml.
 
     ``weights`` of the loss terms; ``num_proposals`` of the net's own boxes a scene train the second stage and
-    ``num_rendered`` scenes a batch the view decoder. ``num_solid_points`` describe each mesh. The last
+    ``num_rendered`` scenes a batch, unmoved, the view decoder. ``num_solid_points`` describe each mesh. The last
     ``validation_share`` of the episodes, at most ``num_validation`` of them, are never trained on.
     """
 
@@ -52,7 +52,14 @@ def train(
     torch.manual_seed(cfg.fit.seed)
     net = PerceptionNet(cfg.network)
     sampler = Sampler(
-        cfg.sampling, cfg.fit.batch, cfg.fit.seed, cfg.network.grid, source, solids, range(max(1, count - held_out))
+        cfg=cfg.sampling,
+        batch=cfg.fit.batch,
+        num_still=cfg.num_rendered,
+        seed=cfg.fit.seed,
+        grid=cfg.network.grid,
+        source=source,
+        solids=solids,
+        episode_is=range(max(1, count - held_out)),
     )
     validate = partial(figures, source=source, solids=solids, episode_is=range(count - held_out, count), device=device)
     rows = fit(net, sampler.batch_at, _Loss(cfg, device), cfg.weights, cfg.fit, work, device, validate)
