@@ -11,18 +11,19 @@ from oes.dynamics.augment import Batch, turn_flip
 from oes.dynamics.bounds import Static
 from oes.dynamics.graph import Graph
 from oes.dynamics.loss import errors, loss_terms
-from oes.dynamics.models import OES, CropNet, GraphXYZ, ImageNet, Learned, Net, Seen
+from oes.dynamics.models import OES, GraphXYZ, ImageNet, Learned, Net, Seen
+from oes.dynamics.slabs import Crop, SlabSight, fold
 from oes.dynamics.unroll import Model, advance, at_rest, unroll, unroll_from
 from oes.objects import Objects
 
 NET = Net(
     graph=Graph(width=16, layers=3, rounds=2, unit_m=0.05),
-    crop=CropNet(read=2, channels=(4, 8, 8), harmonics=3, width=16),
+    crop=Crop(read=2, slabs=2, channels=(4, 8, 8), width=16, cell_m=0.01, path_cell_m=0.0075),
     image=ImageNet(channels=(4, 8), width=16),
 )
 LEARNED = [word for word, kind in MODELS.items() if issubclass(kind, Learned)]
 FORECASTERS = [word for word, kind in MODELS.items() if issubclass(kind, Model)]
-SEEN = Seen(crop_channels=2, crop_side=16, image_side_px=32)
+SEEN = Seen(crop_channels=2, crop_side=16, voxel_m=0.01, image_side_px=32)
 VIEWS = 2
 
 
@@ -172,3 +173,29 @@ def test_models_share_one_graph_network() -> None:
     """The baselines differ from ours in their inputs only (appendix C.2)."""
     ours, theirs = (kind(NET, SEEN).graph for kind in (OES, GraphXYZ))
     assert [type(m) for m in ours.modules()] == [type(m) for m in theirs.modules()]
+
+
+def test_slabs_are_means_over_height() -> None:
+    crop = torch.rand(1, 1, 2, 4, 4, 4)
+    folded = fold(crop, 2)
+    assert folded.shape == (1, 1, 4, 4, 4)
+    torch.testing.assert_close(folded[0, 0, 3], crop[0, 0, 1, ..., 2:].mean(-1))
+
+
+def test_windows_show_objects_where_they_are_now() -> None:
+    """A block ahead of an object's centre at first; then the object is turned by 90 degrees, and the tip passes it."""
+    sight = SlabSight(NET.crop, 2, 16, 0.16)
+    slabs = torch.zeros(1, 2, 2, 16, 16)
+    slabs[0, 0, :, 8:12, 7:9] = 1
+    turn = turn_flip(torch.tensor([torch.pi / 2]), torch.tensor([False]))
+    state = at_rest(torch.tensor([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]]), torch.ones(1, 2, dtype=torch.bool))
+    state = replace(state, turned_BN33=turn[:, None].expand(1, 2, 3, 3))
+    shapes = (slabs, state.center_BN3, torch.full((1, 2), torch.pi / 2))
+    world_P3 = torch.tensor([[0.0, 0.02, 0.0], [0.02, 0.0, 0.0], [0.0, -0.02, 0.0], [0.0, 0.035, 0.0]])
+    seen = sight._look(shapes, world_P3.repeat(64, 1).expand(1, 2, 256, 3))[0, 0, 0].flatten()[:4]
+    torch.testing.assert_close(seen, torch.tensor([1.0, 0.0, 0.0, 1.0]), atol=1e-4, rtol=0)
+    full = sight(slabs, state, torch.tensor([[-0.05, 0.0, 0.0]]), torch.tensor([[0.05, 0.0, 0.0]]))
+    bare = sight(torch.zeros_like(slabs), state, torch.tensor([[-0.05, 0.0, 0.0]]), torch.tensor([[0.05, 0.0, 0.0]]))
+    assert not torch.equal(full.path_BNC[:, 0], bare.path_BNC[:, 0])
+    torch.testing.assert_close(full.own_BNC[:, 1], bare.own_BNC[:, 1])
+    assert not torch.equal(full.pair_BNNC[0, 1, 0], bare.pair_BNNC[0, 1, 0])

@@ -36,6 +36,25 @@ class ObjectState:
 
 
 @dataclass(frozen=True)
+class Sight:
+    """What a model sees at one step, in the action's axes; widths may be 0.
+
+    ``own_BNC``: each object as a whole; ``path_BNC``: where the tip passes it; ``pair_BNNC``: between receiver and
+    sender.
+    """
+
+    own_BNC: Tensor
+    path_BNC: Tensor
+    pair_BNNC: Tensor
+
+
+def whole(appearance_BNC: Tensor) -> Sight:
+    """A sight of whole objects alone."""
+    empty_BN0 = appearance_BNC[..., :0]
+    return Sight(appearance_BNC, empty_BN0, empty_BN0[:, :, None].expand(-1, -1, appearance_BNC.shape[1], -1))
+
+
+@dataclass(frozen=True)
 class Motion:
     """One step of every object: displacement of its reference point and rotation, both in world axes."""
 
@@ -65,37 +84,39 @@ class GraphNet(nn.Module):
     AGENT_GEOMETRY = 6  # the tip's position from the object, the action
     EDGE_GEOMETRY = 3  # the sender's position from the receiver
 
-    def __init__(self, cfg: Graph, appearance: int) -> None:
+    def __init__(self, cfg: Graph, appearance: int, contact: int = 0) -> None:
+        """Widths of ``Sight.own_BNC``, and of its other two."""
         super().__init__()
         self.unit_m = cfg.unit_m
-        node = appearance + self.NODE_GEOMETRY
-        self.from_agent = mlp(node + self.AGENT_GEOMETRY, cfg.width, cfg.layers)
+        node, edge = appearance + self.NODE_GEOMETRY, contact + self.EDGE_GEOMETRY
+        self.from_agent = mlp(node + contact + self.AGENT_GEOMETRY, cfg.width, cfg.layers)
         senders = [node] + [cfg.width] * (cfg.rounds - 1)
-        self.edges = nn.ModuleList(mlp(2 * size + self.EDGE_GEOMETRY, cfg.width, cfg.layers) for size in senders)
+        self.edges = nn.ModuleList(mlp(2 * size + edge, cfg.width, cfg.layers) for size in senders)
         self.nodes = nn.ModuleList(mlp(node + 2 * cfg.width, cfg.width, cfg.layers) for _ in senders)
         self.head = nn.Linear(cfg.width, 6)
         nn.init.xavier_uniform_(self.head.weight, gain=0.1)
         nn.init.zeros_(self.head.bias)
 
     def forward(
-        self, appearance_BNC: Tensor, state: ObjectState, up_BN3: Tensor, tip_world_B3: Tensor, action_B3: Tensor
+        self, sight: Sight, state: ObjectState, up_BN3: Tensor, tip_world_B3: Tensor, action_B3: Tensor
     ) -> Motion:
         """Motion of each object while the tip goes from ``tip_world_B3`` by ``action_B3`` (metres).
 
-        ``appearance_BNC`` is as seen in the action's axes; ``up_BN3`` is where each object's own vertical points.
+        ``up_BN3`` is where each object's own vertical points.
         """
         axes_B33 = action_axes(action_B3)
-        node_BNC = self._node(appearance_BNC, state, up_BN3, axes_B33)
+        node_BNC = self._node(sight.own_BNC, state, up_BN3, axes_B33)
         reach_BN23 = torch.stack(
             [tip_world_B3[:, None] - state.center_BN3, action_B3[:, None].expand_as(state.center_BN3)], -2
         )
         reach_BN6 = (reach_BN23 @ axes_B33[:, None]).flatten(-2) / self.unit_m
-        pushed_BNC = self.from_agent(torch.cat([node_BNC, reach_BN6], -1))
+        pushed_BNC = self.from_agent(torch.cat([node_BNC, reach_BN6, sight.path_BNC], -1))
         apart_BNN3 = (state.center_BN3[:, None] - state.center_BN3[:, :, None]) @ axes_B33[:, None] / self.unit_m
+        edge_BNNC = torch.cat([apart_BNN3, sight.pair_BNNC], -1)
         others_BNN1 = _others(state.valid_BN)[..., None]
         hidden_BNC = node_BNC
         for edge, update in zip(self.edges, self.nodes, strict=True):
-            messages_BNNC = edge(_receiver_sender(hidden_BNC, apart_BNN3)) * others_BNN1
+            messages_BNNC = edge(_receiver_sender(hidden_BNC, edge_BNNC)) * others_BNN1
             hidden_BNC = update(torch.cat([node_BNC, pushed_BNC, messages_BNNC.sum(2)], -1))
         out_BN23 = self.head(hidden_BNC).reshape(*hidden_BNC.shape[:-1], 2, 3) @ axes_B33.mT[:, None]
         return Motion(out_BN23[..., 0, :] * self.unit_m, roma.rotvec_to_rotmat(out_BN23[..., 1, :]))
@@ -117,6 +138,14 @@ def action_axes(action_B3: Tensor) -> Tensor:
 def heading(R: Tensor) -> Tensor:
     """The angle (radians) of the turn about the vertical that comes nearest to rotations ...33."""
     return torch.atan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1])
+
+
+def xavier(conv: nn.Conv2d) -> nn.Conv2d:
+    """The convolution, Xavier initialised."""
+    nn.init.xavier_uniform_(conv.weight)
+    assert conv.bias is not None
+    nn.init.zeros_(conv.bias)
+    return conv
 
 
 def _others(valid_BN: Tensor) -> Tensor:

@@ -65,7 +65,7 @@ def gather(
     if not found:
         raise ValueError(f"no object in any draw of {', '.join(cfg.draws[kind.DRAWS])}")
     first = found[0][0]
-    seen = Seen(first.crop_NCXYZ.shape[1], first.crop_NCXYZ.shape[-1], first.image_NV3HW.shape[-1])
+    seen = Seen(first.crop_NCXYZ.shape[1], first.crop_NCXYZ.shape[-1], cfg.voxel_m, first.image_NV3HW.shape[-1])
     data = examples(
         [(_needed(kind, cfg, objects), truth.tolist()) for objects, truth, _ in found],
         [episodes[episode_i] for *_, episode_i in found],

@@ -7,22 +7,12 @@ import torch
 from torch import Tensor, nn
 
 from oes.config import params
-from oes.dynamics.graph import Graph, GraphNet, Motion, ObjectState, heading, mlp
+from oes.dynamics.graph import Graph, GraphNet, Motion, ObjectState, mlp, whole, xavier
+from oes.dynamics.slabs import Crop, SlabSight, fold
 from oes.dynamics.unroll import Model
 from oes.objects import Objects
 
 POSE = 12
-
-
-@params
-class CropNet:
-    """How crops are read: so many of their channels (the mask is the first), output channels of the three 3D
-    convolutions, the angular harmonics of average pooling, and the width of the two layers after it."""
-
-    read: int
-    channels: tuple[int, int, int]
-    harmonics: int
-    width: int
 
 
 @params
@@ -38,16 +28,17 @@ class Net:
     """The networks: the graph that all models share and the two ways of reading appearance."""
 
     graph: Graph
-    crop: CropNet
+    crop: Crop
     image: ImageNet
 
 
 @params
 class Seen:
-    """Sizes of what perception delivers, which a network must fit: crop channels, crop side, image side."""
+    """Sizes of what perception delivers, which a network must fit: crop channels, side and voxel, image side."""
 
     crop_channels: int
     crop_side: int
+    voxel_m: float
     image_side_px: int
 
 
@@ -58,10 +49,10 @@ class Learned(Model):
     READS_CROPS: ClassVar[bool] = False
     READS_IMAGES: ClassVar[bool] = False
 
-    def __init__(self, net: Net, seen: Seen, appearance: int = 0) -> None:
+    def __init__(self, net: Net, seen: Seen, appearance: int = 0, contact: int = 0) -> None:
         super().__init__()
         self.net, self.seen = net, seen
-        self.graph = GraphNet(net.graph, appearance)
+        self.graph = GraphNet(net.graph, appearance, contact)
 
 
 class GraphXYZ(Learned):
@@ -75,7 +66,7 @@ class GraphXYZ(Learned):
         """Motion of every object over one action."""
         upright = torch.zeros_like(state.center_BN3)
         upright[..., 2] = 1
-        return cast(Motion, self.graph(appearance_BNC, state, upright, tip_world_B3, action_B3))
+        return cast(Motion, self.graph(whole(appearance_BNC), state, upright, tip_world_B3, action_B3))
 
 
 class GraphXYZImage(GraphXYZ):
@@ -88,7 +79,7 @@ class GraphXYZImage(GraphXYZ):
         super().__init__(net, seen, appearance=image.width)
         convs: list[nn.Module] = []
         for fan_in, fan_out in pairwise((3, *image.channels)):
-            convs += [_xavier(nn.Conv2d(fan_in, fan_out, 3, stride=2, padding=1)), nn.LeakyReLU(0.01)]
+            convs += [xavier(nn.Conv2d(fan_in, fan_out, 3, stride=2, padding=1)), nn.LeakyReLU(0.01)]
         self.convs = nn.Sequential(*convs, nn.Flatten())
         flat = image.channels[-1] * (seen.image_side_px >> len(image.channels)) ** 2
         self.join = mlp(flat + POSE, image.width, 2)
@@ -109,78 +100,25 @@ class GraphXYZImageFixed(GraphXYZImage):
 
 
 class OES(Learned):
-    """The paper's model: 3D feature crops of the first frame, and the orientation of each object since then.
+    """The paper's model: 3D feature crops of the first frame, carried along with each object.
 
-    Average pooling is weighted with the angular harmonics about the crop's vertical (1, cos, sin, cos 2, sin 2, ...),
-    so that turning the object turns each pair of pooled features by a multiple of the angle. At every step they are
-    turned to the present orientation, as the action sees it, before the two fully connected layers: the features of
-    the first frame read as if cropped from the paper's warped scene map, without warping it.
+    The paper reads them once, pooled; here they are read anew at every step (see ``oes.dynamics.slabs``).
     """
 
     READS_CROPS = True
-    GAIN = 20.0  # an object fills about a twentieth of its crop
-    place_2XYZ: Tensor
-    harmonics_KXY: Tensor
 
     def __init__(self, net: Net, seen: Seen) -> None:
-        crop = net.crop
-        super().__init__(net, seen, appearance=crop.width)
-        first, second, third = crop.channels
-        self.convs = nn.Sequential(
-            _xavier(nn.Conv3d(min(crop.read, seen.crop_channels) + 2, first, 2, stride=2)),
-            nn.LeakyReLU(0.01),
-            _xavier(nn.Conv3d(first, second, 3, stride=(1, 1, 2), padding=1)),
-            nn.LeakyReLU(0.01),
-            _xavier(nn.Conv3d(second, third, 3, stride=(1, 1, 2), padding=1)),
-            nn.LeakyReLU(0.01),
-        )
-        self.join = mlp(third * (2 * crop.harmonics + 1), crop.width, 2)
-        self.register_buffer("place_2XYZ", _place(seen.crop_side), persistent=False)
-        self.register_buffer("harmonics_KXY", _harmonics(seen.crop_side // 2, crop.harmonics), persistent=False)
+        crop, side = net.crop, seen.crop_side
+        super().__init__(net, seen, appearance=crop.width, contact=crop.width)
+        self.shape = (min(crop.read, seen.crop_channels) * crop.slabs, side, side)
+        self.sight = SlabSight(crop, self.shape[0], side, side * seen.voxel_m)
 
     def appearance(self, objects: Objects) -> Tensor:
-        """BNC: harmonic averages of the convolved crops, in world axes at t = 0."""
-        crops_PCXYZ = objects.crop_NCXYZ[:, :, : self.net.crop.read].flatten(0, 1)
-        place_P2XYZ = self.place_2XYZ * crops_PCXYZ[:, :1]
-        convolved_PCXYZ = self.convs(torch.cat([crops_PCXYZ, place_P2XYZ], 1) * 4)
-        pooled_PKC = torch.einsum("pcxy,kxy->pkc", convolved_PCXYZ.mean(-1), self.harmonics_KXY)
-        return pooled_PKC.reshape(*objects.crop_NCXYZ.shape[:2], -1) * self.GAIN
+        """BNC: the crops' slabs, flattened, in world axes at t = 0."""
+        return fold(objects.crop_NCXYZ[:, :, : self.net.crop.read], self.net.crop.slabs).flatten(2)
 
     def forward(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
         """Motion of every object over one action."""
-        action_angle_B = torch.atan2(action_B3[:, 1], action_B3[:, 0])
-        angle_BN = heading(state.turned_BN33) - action_angle_B[:, None]
-        seen_BNC = self.join(turned(appearance_BNC, angle_BN, self.net.crop.harmonics))
-        return cast(Motion, self.graph(seen_BNC, state, state.turned_BN33[..., 2], tip_world_B3, action_B3))
-
-
-def turned(pooled_BNC: Tensor, angle_BN: Tensor, harmonics: int) -> Tensor:
-    """Harmonic averages (1, cos, sin, cos 2, sin 2, ... each of some channels) of objects turned by ``angle_BN``."""
-    pooled_BNKC = pooled_BNC.reshape(*pooled_BNC.shape[:2], 2 * harmonics + 1, -1)
-    angle_BNK1 = (angle_BN[..., None] * torch.arange(1, harmonics + 1, device=angle_BN.device))[..., None]
-    even, odd = pooled_BNKC[:, :, 1::2], pooled_BNKC[:, :, 2::2]
-    cos, sin = angle_BNK1.cos(), angle_BNK1.sin()
-    parts = [pooled_BNKC[:, :, :1], even * cos - odd * sin, even * sin + odd * cos]
-    return torch.cat(parts, 2).flatten(2)
-
-
-def _xavier(conv: nn.Conv2d | nn.Conv3d) -> nn.Module:
-    """The convolution, Xavier initialised."""
-    nn.init.xavier_uniform_(conv.weight)
-    nn.init.zeros_(conv.bias)  # type: ignore[arg-type]
-    return conv
-
-
-def _place(side: int) -> Tensor:
-    """Coordinate channels 2XYZ: distance from the vertical axis and height over the centre, 1 at the outer faces."""
-    line = (torch.arange(side) + 0.5) / side * 2 - 1
-    x, y, z = torch.meshgrid(line, line, line, indexing="ij")
-    return torch.stack([torch.hypot(x, y), z])
-
-
-def _harmonics(side: int, count: int) -> Tensor:
-    """Weights KXY of a mean over x and y with 1, cos(angle), sin(angle), cos(2 angle), ... of each cell's direction."""
-    line = torch.arange(side) + 0.5 - side / 2
-    angle_XY = torch.atan2(line[None, :], line[:, None])
-    waves = [f(k * angle_XY) for k in range(1, count + 1) for f in (torch.cos, torch.sin)]
-    return torch.stack([torch.ones_like(angle_XY), *waves]) / side**2
+        slabs_BNKXY = appearance_BNC.reshape(*appearance_BNC.shape[:2], *self.shape)
+        sight = self.sight(slabs_BNKXY, state, tip_world_B3, action_B3)
+        return cast(Motion, self.graph(sight, state, state.turned_BN33[..., 2], tip_world_B3, action_B3))

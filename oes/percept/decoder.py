@@ -82,8 +82,10 @@ class FieldHead(nn.Module):
             self.layer.bias = nn.Parameter(bias.flatten())
 
     def forward(self, coarse_BCXYZ: Tensor, lifted_BCXYZ: Tensor) -> Tensor:
-        """The map BCXYZ in float32."""
-        return unfold(self.layer(torch.cat([coarse_BCXYZ, lifted_BCXYZ], dim=1)).float() + MEMORY_GAIN * self.memory)
+        """The map BCXYZ in float32. No gradient runs into ``lifted_BCXYZ``: it would cost more than it teaches."""
+        return unfold(
+            self.layer(torch.cat([coarse_BCXYZ, lifted_BCXYZ.detach()], dim=1)).float() + MEMORY_GAIN * self.memory
+        )
 
 
 class BackdropNet(nn.Module):
