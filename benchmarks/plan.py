@@ -16,7 +16,7 @@ from oes.objects import Objects
 PLANS = ((30, 1), (60, 10))
 NUM_OBJECTS = 2
 REPEATS = 50
-SEEN = Seen(crop_channels=33, crop_side=16, image_side_px=32)
+SEEN = Seen(crop_channels=11, crop_side=16, voxel_m=0.01, image_side_px=32)
 
 
 def scene(seen: Seen) -> Objects:

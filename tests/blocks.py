@@ -12,7 +12,7 @@ from oes.dynamics.train import Dynamics
 from oes.meshes.catalogue import Catalogue, save, write_mesh
 from oes.meshes.draft import Draft, Stand, placed
 from oes.percept.network import PerceptionNet
-from oes.percept.perceiver import Perceiver
+from oes.percept.perceiver import IMAGE_PX, NUM_SURFACE, Perceiver
 from oes.percept.train import Perception
 from oes.sim.simulate import Episodes
 from oes.sim.world import Sim
@@ -34,7 +34,9 @@ def make_weights(folder: Path) -> None:
     """``perception/perception.safetensors`` and ``dynamics/pushing-oes`` and ``-graph_xyz``, untrained."""
     torch.manual_seed(0)
     net = PerceptionNet(load(SMOKE, "perception", Perception).network)
-    seen = Seen(crop_channels=1 + net.cfg.map_features, crop_side=net.cfg.roi.count, image_side_px=32)
+    roi = net.cfg.roi
+    channels = 1 + NUM_SURFACE + net.cfg.map_features
+    seen = Seen(crop_channels=channels, crop_side=roi.count, voxel_m=roi.voxel_m, image_side_px=IMAGE_PX)
     for word, kind in (("oes", OES), ("graph_xyz", GraphXYZ)):
         (folder / "dynamics" / f"pushing-{word}").mkdir(parents=True)
         save_model(folder / "dynamics" / f"pushing-{word}", kind(load(SMOKE, "dynamics", Dynamics).net, seen))
