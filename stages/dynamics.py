@@ -10,13 +10,13 @@ from oes.dynamics.train import Dynamics
 from oes.percept.store import read_objects
 from oes.record.reader import list_episodes, read_episode
 from oes.rows import columns_of, write_csv
-from oes.stage import publish, run, work_dir
+from oes.stage import StageError, publish, run, work_dir
 
 
 def main(cfg: Dynamics, task: str, model: str, episodes: Path, objects: Path, out: Path) -> None:
     """Write ``model.safetensors`` and ``log.csv`` to ``out``."""
     if model not in MODELS:
-        raise ValueError(f"unknown model {model!r}; there are: {', '.join(MODELS)}")
+        raise StageError(f"unknown model {model!r}; there are: {', '.join(MODELS)}")
     with work_dir(out, (cfg, task, model, [episodes, objects])) as work:
         scenes = read_objects(objects / "objects.safetensors")
         folders = list_episodes(episodes)
