@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from oes.dynamics import MODELS
-from oes.dynamics.augment import Batch, turn_flip
+from oes.dynamics.augment import Batch, moved, turn_flip
 from oes.dynamics.bounds import Static
 from oes.dynamics.graph import Graph
 from oes.dynamics.loss import errors, loss_terms
@@ -25,6 +25,7 @@ LEARNED = [word for word, kind in MODELS.items() if issubclass(kind, Learned)]
 FORECASTERS = [word for word, kind in MODELS.items() if issubclass(kind, Model)]
 SEEN = Seen(crop_channels=2, crop_side=16, voxel_m=0.01, image_side_px=32)
 VIEWS = 2
+ZERO = torch.zeros(3, 3, 3)
 
 
 def make_objects(scenes: int = 3, num: int = 3, seed: int = 0) -> Objects:
@@ -68,6 +69,20 @@ def test_permuting_objects_permutes_the_forecast(word: str) -> None:
     found, permuted = unroll(model, objects, tip, actions), unroll(model, only(objects, order), tip, actions)
     torch.testing.assert_close(permuted.translation_BTN3, found.translation_BTN3[:, :, order])
     torch.testing.assert_close(permuted.rotation_BTN33, found.rotation_BTN33[:, :, order])
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("word", LEARNED)
+def test_a_mirrored_scene_gets_the_mirrored_forecast(word: str) -> None:
+    objects, (tip, actions) = make_objects(), make_actions()
+    model = make_model(word, objects)
+    here = unroll(model, objects, tip, actions)
+    turn = turn_flip(torch.tensor([0.0, torch.pi, torch.pi / 2]), torch.ones(3, dtype=torch.bool))
+    there = moved(Batch(objects, tip, actions, here.translation_BTN3, here.rotation_BTN33), turn, ZERO, 0.01)
+    found = unroll(model, there.objects, there.tip_B3, there.actions_BT3)
+    same = slice(0, 1) if word.startswith("graph_xyz_image") else slice(None)  # it sees the cameras' world axes
+    torch.testing.assert_close(found.translation_BTN3[same], there.translation_BTN3[same], atol=1e-5, rtol=1e-3)
+    torch.testing.assert_close(found.rotation_BTN33[same], there.rotation_BTN33[same], atol=1e-4, rtol=1e-3)
 
 
 @torch.no_grad()

@@ -64,21 +64,25 @@ def moved(batch: Batch, new_M_old_B33: Tensor, shift_BN3: Tensor, voxel_m: float
     M, back_B33 = new_M_old_B33, new_M_old_B33.transpose(-1, -2)
     R = batch.rotation_BTN33
     translation = batch.translation_BTN3 + (R @ shift_BN3[:, None, ..., None])[..., 0] - shift_BN3[:, None]
-    seen = batch.objects
-    flip_B = torch.linalg.det(M) < 0
-    objects = replace(
-        seen,
-        center_N3=(seen.center_N3 + shift_BN3) @ back_B33,
-        crop_NCXYZ=_resampled(seen.crop_NCXYZ, M, shift_BN3 / voxel_m),
-        image_NV3HW=torch.where(flip_B[:, None, None, None, None, None], seen.image_NV3HW.flip(-1), seen.image_NV3HW),
-        camera_NV12=_cameras(seen.camera_NV12, M, flip_B),
-    )
     return Batch(
-        objects=objects,
+        objects=moved_objects(batch.objects, M, shift_BN3, voxel_m),
         tip_B3=(batch.tip_B3[:, None] @ back_B33)[:, 0],
         actions_BT3=batch.actions_BT3 @ back_B33,
         translation_BTN3=translation @ back_B33[:, None],
         rotation_BTN33=M[:, None, None] @ R @ back_B33[:, None, None],
+    )
+
+
+def moved_objects(seen: Objects, new_M_old_B33: Tensor, shift_BN3: Tensor, voxel_m: float) -> Objects:
+    """The objects (leading B) of ``moved``: everything that a model sees of them."""
+    M = new_M_old_B33
+    flip_B = torch.linalg.det(M) < 0
+    return replace(
+        seen,
+        center_N3=(seen.center_N3 + shift_BN3) @ M.mT,
+        crop_NCXYZ=_resampled(seen.crop_NCXYZ, M, shift_BN3 / voxel_m),
+        image_NV3HW=torch.where(flip_B[:, None, None, None, None, None], seen.image_NV3HW.flip(-1), seen.image_NV3HW),
+        camera_NV12=_cameras(seen.camera_NV12, M, flip_B),
     )
 
 

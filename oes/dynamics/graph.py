@@ -35,6 +35,17 @@ class ObjectState:
     valid_BN: Tensor
 
 
+def mirrored(state: ObjectState, mirror_33: Tensor) -> ObjectState:
+    """The state of the mirrored world; ``mirror_33`` is its own inverse."""
+    return ObjectState(
+        center_BN3=state.center_BN3 @ mirror_33,
+        velocity_BN3=state.velocity_BN3 @ mirror_33,
+        moved_BN3=state.moved_BN3 @ mirror_33,
+        turned_BN33=mirror_33 @ state.turned_BN33 @ mirror_33,
+        valid_BN=state.valid_BN,
+    )
+
+
 @dataclass(frozen=True)
 class Sight:
     """What a model sees at one step, in the action's axes; widths may be 0.

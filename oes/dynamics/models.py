@@ -1,13 +1,16 @@
 """The learned models: one graph network, three ways of seeing an object (paper section 3.2, appendix C.1-C.2)."""
 
+from abc import abstractmethod
 from itertools import pairwise
 from typing import ClassVar, cast
 
+import roma
 import torch
 from torch import Tensor, nn
 
 from oes.config import params
-from oes.dynamics.graph import Graph, GraphNet, Motion, ObjectState, mlp, whole, xavier
+from oes.dynamics.augment import moved_objects, turn_flip
+from oes.dynamics.graph import Graph, GraphNet, Motion, ObjectState, mirrored, mlp, whole, xavier
 from oes.dynamics.slabs import Crop, SlabSight, fold
 from oes.dynamics.unroll import Model
 from oes.objects import Objects
@@ -43,26 +46,61 @@ class Seen:
 
 
 class Learned(Model):
-    """A graph network with an appearance of some width. ``DRAWS`` names the views it learns from."""
+    """A graph network with an appearance of some width. ``DRAWS`` names the views it learns from.
+
+    Out of training, a forecast is the mean of the network's for the scene and for its mirror image, mirrored back:
+    mirrored scenes get mirrored forecasts. Training sees mirror images by augmentation instead, at half the cost.
+    """
 
     DRAWS: ClassVar[str] = "random"
     READS_CROPS: ClassVar[bool] = False
     READS_IMAGES: ClassVar[bool] = False
+    mirror_33: Tensor
 
     def __init__(self, net: Net, seen: Seen, appearance: int = 0, contact: int = 0) -> None:
         super().__init__()
         self.net, self.seen = net, seen
         self.graph = GraphNet(net.graph, appearance, contact)
+        self.register_buffer("mirror_33", turn_flip(torch.zeros(1), torch.ones(1, dtype=torch.bool))[0], False)
+
+    @abstractmethod
+    def look(self, objects: Objects) -> Tensor:
+        """Appearance BNC of batched objects as first seen."""
+
+    @abstractmethod
+    def step(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
+        """Motion of every object over one action."""
+
+    def appearance(self, objects: Objects) -> Tensor:
+        """``look`` at the objects and, out of training, at their mirror image, one after the other: BN(2C)."""
+        here_BNC = self.look(objects)
+        if self.training:
+            return here_BNC
+        mirror_B33 = self.mirror_33.expand(len(here_BNC), 3, 3)
+        there = moved_objects(objects, mirror_B33, torch.zeros_like(objects.center_N3), self.seen.voxel_m)
+        return torch.cat([here_BNC, self.look(there)], -1)
+
+    def forward(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
+        """Motion of every object over one action."""
+        if self.training:
+            return self.step(appearance_BNC, state, tip_world_B3, action_B3)
+        mirror_33 = self.mirror_33
+        here_BNC, there_BNC = appearance_BNC.chunk(2, -1)
+        here = self.step(here_BNC, state, tip_world_B3, action_B3)
+        there = self.step(there_BNC, mirrored(state, mirror_33), tip_world_B3 @ mirror_33, action_B3 @ mirror_33)
+        back_BN33 = mirror_33 @ there.dR_BN33 @ mirror_33
+        turn_BN3 = (roma.rotmat_to_rotvec(here.dR_BN33) + roma.rotmat_to_rotvec(back_BN33)) / 2
+        return Motion((here.dp_BN3 + there.dp_BN3 @ mirror_33) / 2, roma.rotvec_to_rotmat(turn_BN3))
 
 
 class GraphXYZ(Learned):
     """Centroids, their motion and nothing of what the objects look like; world axes, no orientation."""
 
-    def appearance(self, objects: Objects) -> Tensor:
+    def look(self, objects: Objects) -> Tensor:
         """None: a tensor BN0."""
         return objects.center_N3[..., :0]
 
-    def forward(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
+    def step(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
         """Motion of every object over one action."""
         upright = torch.zeros_like(state.center_BN3)
         upright[..., 2] = 1
@@ -84,7 +122,7 @@ class GraphXYZImage(GraphXYZ):
         flat = image.channels[-1] * (seen.image_side_px >> len(image.channels)) ** 2
         self.join = mlp(flat + POSE, image.width, 2)
 
-    def appearance(self, objects: Objects) -> Tensor:
+    def look(self, objects: Objects) -> Tensor:
         """BNC: mean over the views that exist."""
         images_P3HW = objects.image_NV3HW.flatten(0, 2)
         read = self.convs(images_P3HW.to(objects.camera_NV12.dtype) / 255 - 0.5)
@@ -113,11 +151,11 @@ class OES(Learned):
         self.shape = (min(crop.read, seen.crop_channels) * crop.slabs, side, side)
         self.sight = SlabSight(crop, self.shape[0], side, side * seen.voxel_m)
 
-    def appearance(self, objects: Objects) -> Tensor:
+    def look(self, objects: Objects) -> Tensor:
         """BNC: the crops' slabs, flattened, in world axes at t = 0."""
         return fold(objects.crop_NCXYZ[:, :, : self.net.crop.read], self.net.crop.slabs).flatten(2)
 
-    def forward(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
+    def step(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
         """Motion of every object over one action."""
         slabs_BNKXY = appearance_BNC.reshape(*appearance_BNC.shape[:2], *self.shape)
         sight = self.sight(slabs_BNKXY, state, tip_world_B3, action_B3)
