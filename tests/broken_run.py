@@ -55,8 +55,10 @@ def run_with_kills(middles: tuple[str, ...]) -> dict[str, str]:
 
 def start() -> "subprocess.Popen[bytes]":
     """The study up to the dynamics, as the Makefile starts it, but never from DVC's cache of earlier runs."""
-    command = ["dvc", "repro", "--no-run-cache", "dynamics"]
-    return subprocess.Popen(command, cwd=HERE, start_new_session=True)
+    bin_folder = Path(sys.executable).parent.absolute()
+    env = os.environ | {"PATH": f"{bin_folder}:{os.environ['PATH']}", "DVC_NO_ANALYTICS": "1"}
+    command = [str(bin_folder / "dvc"), "repro", "--no-run-cache", "dynamics"]
+    return subprocess.Popen(command, cwd=HERE, env=env, start_new_session=True)
 
 
 if __name__ == "__main__":
