@@ -12,6 +12,8 @@ STAGES := meshes episodes perception objects dynamics rollouts trials tables
 
 export PATH := $(VENV)/bin:$(PATH)
 export DVC_NO_ANALYTICS := 1
+# Huge pages for torch's CPU memory (Linux): a training step of perception takes 0.75 to 0.87 of its time.
+export THP_MEM_ALLOC_ENABLE := 1
 
 .PHONY: help all test check setup smoke demo bench evaluate doctor clean profile $(STAGES)
 
