@@ -8,7 +8,7 @@ from oes.dynamics.checkpoint import save_model
 from oes.dynamics.learn import learn
 from oes.dynamics.train import Dynamics
 from oes.percept.store import read_objects
-from oes.record.reader import list_episodes, read_episode
+from oes.record.dataset import read_states
 from oes.rows import columns_of, write_csv
 from oes.stage import StageError, publish, run, work_dir
 
@@ -19,9 +19,7 @@ def main(cfg: Dynamics, task: str, model: str, episodes: Path, objects: Path, ou
         raise StageError(f"unknown model {model!r}; there are: {', '.join(MODELS)}")
     with work_dir(out, (cfg, task, model, [episodes, objects])) as work:
         scenes = read_objects(objects / "objects.safetensors")
-        folders = list_episodes(episodes)
-        seen = sorted({scenes.episode(draw_i) for draw_i in range(len(scenes))})
-        recorded = {episode_i: read_episode(folders[episode_i]) for episode_i in seen}
+        recorded = dict(enumerate(read_states(episodes)))
         progress = work / "progress"
         progress.mkdir(exist_ok=True)
         learned, log = learn(MODELS[model], cfg, scenes, recorded, progress)

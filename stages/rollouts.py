@@ -9,7 +9,7 @@ from tqdm import tqdm
 from oes.dynamics.checkpoint import load
 from oes.meshes.catalogue import load_catalogue
 from oes.percept.store import read_objects
-from oes.record.reader import list_episodes, read_episode
+from oes.record.dataset import read_states
 from oes.rollout import COLUMNS, Rollouts, forecaster, split_rows
 from oes.rows import write_csv
 from oes.stage import publish, run, work_dir
@@ -24,9 +24,7 @@ def main(
     def rows() -> Iterator[dict[str, object]]:
         for split in tqdm(cfg.settings, unit="split", disable=None):
             store = read_objects(objects / f"{task}-{split}" / "objects.safetensors")
-            folders = list_episodes(episodes / f"{task}-{split}")
-            seen = sorted({store.episode(draw_i) for draw_i in range(len(store))})
-            recorded = {episode_i: read_episode(folders[episode_i]) for episode_i in seen}
+            recorded = dict(enumerate(read_states(episodes / f"{task}-{split}")))
             yield from map(asdict, split_rows(forecast, store, recorded, (task, model, split), cfg))
 
     with work_dir(out, (cfg, task, model, [meshes, episodes, objects, dynamics])) as work:

@@ -1,5 +1,6 @@
 """The object graph network that every learned dynamics model shares (paper section 3.2, appendix C.1)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -151,12 +152,15 @@ def heading(R: Tensor) -> Tensor:
     return torch.atan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1])
 
 
-def xavier(conv: nn.Conv2d) -> nn.Conv2d:
-    """The convolution, Xavier initialised."""
-    nn.init.xavier_uniform_(conv.weight)
-    assert conv.bias is not None
-    nn.init.zeros_(conv.bias)
-    return conv
+def halving(inputs: int, channels: Sequence[int], kernel_px: int) -> nn.Sequential:
+    """2D convolutions, each halving the image, with a leaky ReLU after each; then flattened. Xavier initialisation."""
+    modules: list[nn.Module] = []
+    for fan_in, fan_out in pairwise((inputs, *channels)):
+        conv = nn.Conv2d(fan_in, fan_out, kernel_px, stride=2, padding=1)
+        nn.init.xavier_uniform_(conv.weight)
+        nn.init.zeros_(conv.bias)  # type: ignore[arg-type]
+        modules += [conv, nn.LeakyReLU(0.01)]
+    return nn.Sequential(*modules, nn.Flatten())
 
 
 def _others(valid_BN: Tensor) -> Tensor:

@@ -1,16 +1,15 @@
 """The learned models: one graph network, three ways of seeing an object (paper section 3.2, appendix C.1-C.2)."""
 
 from abc import abstractmethod
-from itertools import pairwise
 from typing import ClassVar, cast
 
 import roma
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from oes.config import params
-from oes.dynamics.augment import moved_objects, turn_flip
-from oes.dynamics.graph import Graph, GraphNet, Motion, ObjectState, mirrored, mlp, whole, xavier
+from oes.dynamics.augment import moved_objects
+from oes.dynamics.graph import Graph, GraphNet, Motion, ObjectState, halving, mirrored, mlp, whole
 from oes.dynamics.slabs import Crop, SlabSight, fold
 from oes.dynamics.unroll import Model
 from oes.objects import Objects
@@ -61,7 +60,7 @@ class Learned(Model):
         super().__init__()
         self.net, self.seen = net, seen
         self.graph = GraphNet(net.graph, appearance, contact)
-        self.register_buffer("mirror_33", turn_flip(torch.zeros(1), torch.ones(1, dtype=torch.bool))[0], False)
+        self.register_buffer("mirror_33", torch.diag(torch.tensor([1.0, -1.0, 1.0])), persistent=False)
 
     @abstractmethod
     def look(self, objects: Objects) -> Tensor:
@@ -115,10 +114,7 @@ class GraphXYZImage(GraphXYZ):
     def __init__(self, net: Net, seen: Seen) -> None:
         image = net.image
         super().__init__(net, seen, appearance=image.width)
-        convs: list[nn.Module] = []
-        for fan_in, fan_out in pairwise((3, *image.channels)):
-            convs += [xavier(nn.Conv2d(fan_in, fan_out, 3, stride=2, padding=1)), nn.LeakyReLU(0.01)]
-        self.convs = nn.Sequential(*convs, nn.Flatten())
+        self.convs = halving(3, image.channels, kernel_px=3)
         flat = image.channels[-1] * (seen.image_side_px >> len(image.channels)) ** 2
         self.join = mlp(flat + POSE, image.width, 2)
 

@@ -6,14 +6,12 @@ above, in axes turned so that the action points along x: around the object, arou
 objects. Only turns about the vertical are followed.
 """
 
-from itertools import pairwise
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from oes.config import params
-from oes.dynamics.graph import ObjectState, Sight, action_axes, heading, mlp, xavier
+from oes.dynamics.graph import ObjectState, Sight, action_axes, halving, heading, mlp
 
 BEHIND_CELLS = 5  # of the window around the tip's path; the rest lies ahead
 FAR_M = 0.07
@@ -46,10 +44,7 @@ class SlabNet(nn.Module):
 
     def __init__(self, inputs: int, cfg: Crop, side: int) -> None:
         super().__init__()
-        convs: list[nn.Module] = []
-        for fan_in, fan_out in pairwise((inputs, *cfg.channels)):
-            convs += [xavier(nn.Conv2d(fan_in, fan_out, 4, stride=2, padding=1)), nn.LeakyReLU(0.01)]
-        self.convs = nn.Sequential(*convs, nn.Flatten())
+        self.convs = halving(inputs, cfg.channels, kernel_px=4)
         self.join = mlp(cfg.channels[-1] * (side >> len(cfg.channels)) ** 2, cfg.width, 2)
 
     def forward(self, image_PKXY: Tensor) -> Tensor:
@@ -66,7 +61,7 @@ class SlabSight(nn.Module):
 
     def __init__(self, cfg: Crop, channels: int, side: int, crop_m: float) -> None:
         super().__init__()
-        self.channels, self.side, self.crop_m = channels, side, crop_m
+        self.side, self.crop_m = side, crop_m
         self.own = SlabNet(channels, cfg, side)
         self.path = SlabNet(channels + PATH, cfg, side)
         self.pair = SlabNet(2 * channels, cfg, side)

@@ -44,7 +44,7 @@ def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
     for source in models:
         target = folder / "dynamics" / source.parent.name / source.name
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(ordered(source.read_bytes()))
+        shutil.copyfile(source, target)
 
 
 def copy_films(trials: Path, rows: Columns, scenario: str, model: str, folder: Path) -> list[str]:
