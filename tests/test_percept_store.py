@@ -16,6 +16,7 @@ from tests.percept_scenes import BoxWorld, box_solids, small_network
 
 CFG = Draws(
     seed=0,
+    num_workers=2,
     fixed_camera=2,
     center_jitter_m=0.01,
     size_jitter=0.1,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from joblib import Parallel, delayed
 from numpy.typing import NDArray
 from safetensors.torch import load_file
 from torch import Tensor
@@ -59,9 +60,11 @@ class Draws:
 
     ``fixed_camera``: index of the camera of the fixed-view settings. Jitters are standard deviations of the true boxes
     at training; ``train_draws``: how many sets of views an episode gets under each training setting.
+    ``num_workers`` processes (-1: one a core) share the work, ``shard_episodes`` at a time; on a GPU one does it all.
     """
 
     seed: int
+    num_workers: int
     fixed_camera: int
     center_jitter_m: float
     size_jitter: float
@@ -152,12 +155,15 @@ class Observer:
 
 def perceive_all(observer: Observer, progress: Path) -> tuple[dict[str, Tensor], list[Row], list[Row]]:
     """All draws of a split, packed, and its rows. Finished shards of episodes are kept in ``progress`` and reused."""
-    count, side = len(observer.source.episodes), observer.cfg.shard_episodes
-    shards = [range(start, min(start + side, count)) for start in range(0, count, side)]
-    paths = [progress / f"shard_{episode_is.start:06d}.safetensors" for episode_is in shards]
-    for path, episode_is in zip(tqdm(paths, unit="shard", disable=None), shards, strict=True):
-        if not path.exists():
-            _write_shard(observer, episode_is, path)
+    cfg, count = observer.cfg, len(observer.source.episodes)
+    starts = range(0, count, cfg.shard_episodes)
+    paths = [progress / f"shard_{start:06d}.safetensors" for start in starts]
+    shards = [(range(s, min(s + cfg.shard_episodes, count)), path) for s, path in zip(starts, paths, strict=True)]
+    jobs = [delayed(_write_shard)(observer, *shard) for shard in shards if not shard[1].exists()]
+    num_workers = cfg.num_workers if observer.perceiver.device.type == "cpu" else 1
+    done = Parallel(n_jobs=num_workers, return_as="generator_unordered")(jobs)
+    for _ in tqdm(done, total=len(jobs), desc="perceiving", unit="shard"):
+        pass
     rows = [json.loads(path.with_suffix(".json").read_text()) for path in paths]
     tensors = joined([load_file(path) for path in paths])
     return tensors, [row for detections, _ in rows for row in detections], [row for _, views in rows for row in views]
