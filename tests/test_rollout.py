@@ -1,5 +1,6 @@
 """Errors of forecasts that are known: perfect ones, none at all, and ones about a point beside the true centre."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +8,13 @@ import pytest
 import torch
 
 from oes.config import load
-from oes.dynamics.bounds import Static
+from oes.dynamics.bounds import Simulator, Static
 from oes.episode import Episode, Floats
 from oes.objects import Objects
 from oes.percept.store import Draw, ObjectStore, pack, read_objects, write_objects
-from oes.rollout import Imagined, Rollouts, Scene, carried, split_rows, truth_of
+from oes.rollout import Imagined, Replayed, Rollouts, Scene, carried, split_rows, truth_of
+from oes.sim.simulate import Episodes, simulate
+from tests.blocks import make_catalogue
 from tests.factories import make_episode
 from tests.test_dynamics_models import make_objects
 
@@ -84,3 +87,20 @@ def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(sto
 
 def test_episodes_that_are_missing_are_skipped(store: ObjectStore) -> None:
     assert list(split_rows(Imagined(Static()), store, {}, ("pushing", "static", "test1"), CFG)) == []
+
+
+def test_the_simulator_foresees_the_truth_when_mass_and_friction_are_the_means(tmp_path: Path) -> None:
+    catalogue = make_catalogue(tmp_path)
+    capture = load(Path(__file__).parents[1] / "params.yaml", "episodes", Episodes)
+    episode = simulate(catalogue, capture, "pushing", "test1", 0)
+    objects = make_scene(episode, [0]).objects
+    simulator = Simulator()
+    simulator.measure([episode])
+    forecasts = Replayed(simulator, catalogue, replace(CFG, num_workers=1))
+    found, again = forecasts([Scene(0, 1, objects, [0]), Scene(0, 3, objects, [0])], {0: episode})
+    true = truth_of(episode, episode.steps[0].center_N3)
+    assert found is again and np.linalg.norm(true.translation_TN3[-1, 0]) > 0.02
+    np.testing.assert_allclose(found.translation_TN3, true.translation_TN3, atol=1e-4)
+    simulator.friction.mul_(3)
+    (other,) = Replayed(simulator, catalogue, replace(CFG, num_workers=1))([Scene(0, 1, objects, [0])], {0: episode})
+    assert np.abs(other.translation_TN3 - true.translation_TN3).max() > 1e-4
