@@ -88,12 +88,16 @@ class SlabSight(nn.Module):
         return torch.cat([seen_BNKXY, self._swept(action_B3)[:, None].expand(-1, num, -1, -1, -1)], 2)
 
     def _pairs(self, shapes: Shapes, here_BP3: Tensor) -> Tensor:
-        """Features BNNC of both shapes in the window midway between a receiver (first N) and a sender."""
-        num = shapes[0].shape[1]
-        receiver, sender = (tuple(_paired(x, num, dim) for x in shapes) for dim in (2, 1))
-        between_BNP3 = ((receiver[1] + sender[1]) / 2)[:, :, None] + here_BP3[:, None]
-        seen = [self._look((slabs, center, turn), between_BNP3) for slabs, center, turn in (receiver, sender)]
-        return _each(self.pair, torch.cat(seen, 2)).reshape(len(here_BP3), num, num, -1)
+        """Features BNNC of both shapes in the window midway between a receiver (first N) and a sender; 0 to itself."""
+        slabs_BNKXY, center_BN3, turned_BN = shapes
+        num = center_BN3.shape[1]
+        receivers, senders = (~torch.eye(num, dtype=torch.bool, device=center_BN3.device)).nonzero().unbind(1)
+        ends = [(slabs_BNKXY[:, i], center_BN3[:, i], turned_BN[:, i]) for i in (receivers, senders)]
+        between_BEP3 = ((ends[0][1] + ends[1][1]) / 2)[:, :, None] + here_BP3[:, None]
+        found_BEC = _each(self.pair, torch.cat([self._look(end, between_BEP3) for end in ends], 2))
+        pair_BNNC = found_BEC.new_zeros(len(found_BEC), num, num, found_BEC.shape[-1])
+        pair_BNNC[:, receivers, senders] = found_BEC
+        return pair_BNNC
 
     def _look(self, shapes: Shapes, points_BNP3: Tensor) -> Tensor:
         """Slabs BNKXY as they are now at world points BNP3 (a window's cells); zero outside the crop."""
@@ -119,12 +123,7 @@ class SlabSight(nn.Module):
 def _each(net: nn.Module, image_BNKXY: Tensor) -> Tensor:
     """Features BNC of every window image."""
     features: Tensor = net(image_BNKXY.flatten(0, 1))
-    return features.reshape(*image_BNKXY.shape[:2], -1)
-
-
-def _paired(x_BN: Tensor, num: int, dim: int) -> Tensor:
-    """Values BN... for all N^2 pairs, a row of pairs for each object: of that object (dim 2), or of its partner (1)."""
-    return x_BN.unsqueeze(dim).expand(*x_BN.shape[:dim], num, *x_BN.shape[dim:]).flatten(1, 2)
+    return features.reshape(*image_BNKXY.shape[:2], features.shape[-1])
 
 
 def _window(side: int, cell_m: float, origin: tuple[float, float]) -> Tensor:
