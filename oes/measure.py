@@ -68,6 +68,12 @@ def mcnemar_exact(only_first: int, only_second: int) -> float:
     return float(stats.binomtest(only_first, discordant).pvalue) if discordant else 1.0
 
 
+def signed_rank(first_N: Floats, second_N: Floats) -> float:
+    """Two-sided p of Wilcoxon's signed-rank test of paired values; 1 where all are equal."""
+    difference_N = first_N - second_N
+    return float(stats.wilcoxon(difference_N).pvalue) if difference_N.any() else 1.0
+
+
 @dataclass(frozen=True)
 class Boxes:
     """Axis-aligned boxes of many scenes: which scene each is of, centre and size (metres)."""

@@ -11,6 +11,7 @@ from oes.measure import (
     bootstrap_ratio,
     mcnemar_exact,
     rotation_deg,
+    signed_rank,
     translation_mm,
     wilson,
 )
@@ -65,6 +66,13 @@ def test_wilson_agrees_with_the_textbook() -> None:
     assert wilson(0, 10)[0] == 0
     with pytest.raises(ValueError, match="trials"):
         wilson(0, 0)
+
+
+def test_signed_ranks_count_how_often_and_how_far_one_is_the_greater() -> None:
+    first = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    assert signed_rank(first, first) == 1
+    assert signed_rank(np.zeros(5), first) == signed_rank(first, np.zeros(5)) == pytest.approx(2 / 2**5)
+    assert signed_rank(first, np.array([3.0, 3.0, 3.0, 3.0, 3.5])) == 1
 
 
 def test_mcnemar_counts_discordant_pairs() -> None:

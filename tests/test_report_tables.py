@@ -145,9 +145,10 @@ def test_trials_table_pairs_the_trials(tmp_path: Path) -> None:
     assert ours.success == 0.9 and ours.p_value is None and ours.printed == 0.86
     assert ours.interval == pytest.approx((0.596, 0.982), abs=1e-3)
     assert baseline.p_value == pytest.approx(2 * 0.5**5) and baseline.failures == 1
+    assert ours.distance_p_value is None and 0 < (baseline.distance_p_value or 0) < 0.1
     assert baseline.final_mm == pytest.approx((4 * 20 + 5 * 80) / 9)
     text = markdown(trials_table(found, "table3", "targets", ()))
-    assert "| graph-XYZ | 10 | 0.40 [0.17, 0.69] | 0.062 | 0.40 | 150 | 53.3 | 5.0 | 1 | 0.76 |" in text
+    assert "| graph-XYZ | 10 | 0.40 [0.17, 0.69] | 0.062 | 0.40 | 150 | 53.3 | 0.062 | 5.0 | 1 | 0.76 |" in text
     tree = trials_tree(found)
     assert tree["oes"]["success"] == 0.9 and tree["oes"]["trials"] == 10 and "p_value" not in tree["oes"]
 

@@ -48,6 +48,7 @@ def trials_tree(found: Sequence[Outcome]) -> Tree:
             "final_mm": outcome.final_mm,
             "did_not_run": outcome.failures,
             **({} if outcome.p_value is None else {"p_value": outcome.p_value}),
+            **({} if outcome.distance_p_value is None else {"distance_p_value": outcome.distance_p_value}),
         }
         for outcome in found
     }

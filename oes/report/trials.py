@@ -1,11 +1,12 @@
 """Table 3: pushing objects to targets by model predictive control."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.measure import mcnemar_exact, wilson
+from oes.measure import mcnemar_exact, signed_rank, wilson
 from oes.report.names import MODELS, in_order
 from oes.report.paper import CONTROL
 from oes.report.rows import Columns, select
@@ -16,19 +17,24 @@ NOTE = (
     "A trial succeeds when the mean distance of its objects to their goals is within the tolerance at the end (the "
     "paper's rule); 'success of every object' asks it of each. Each push is the best of random ones (random shooting, "
     "as in the paper), planned from one new image of one random camera; a push that no forecast favours is not made. "
-    "All models have the same starts, goals, cameras and perception. p: exact McNemar test on the paired trials."
+    "All models have the same starts, goals, cameras and perception. p: exact McNemar test on the paired trials; "
+    "after the distance at the end: Wilcoxon's signed-rank test on them."
 )
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One model on one scenario. ``p_value``: exact McNemar test of oes against it on the same trials."""
+    """One model on one scenario. ``p_value``: exact McNemar test of oes against it on the same trials.
+
+    ``distance_p_value``: Wilcoxon's signed-rank test of the distances at the end, on those that ran with both.
+    """
 
     model: str
     trials: int
     success: float
     interval: tuple[float, float]
     p_value: float | None
+    distance_p_value: float | None
     all_success: float
     initial_mm: float
     final_mm: float
@@ -40,7 +46,7 @@ class Outcome:
 def outcomes(rows: Columns, scenario: str) -> list[Outcome]:
     """Success of every model; a trial that failed to run counts as one without success."""
     here = select(rows, scenario=scenario)
-    ours = _successes(select(here, model=OURS))
+    ours = select(here, model=OURS)
     models = in_order(map(str, np.unique(here["model"])))
     return [_outcome(select(here, model=model), ours, scenario) for model in models]
 
@@ -55,6 +61,7 @@ def trials_table(found: list[Outcome], name: str, scenario: str, notes: tuple[st
         "success of every object",
         "distance at start (mm)",
         "distance at end (mm)",
+        "p",
         "pushes",
         "did not run",
         "paper (50 trials)",
@@ -69,18 +76,17 @@ def trials_table(found: list[Outcome], name: str, scenario: str, notes: tuple[st
     )
 
 
-def _outcome(rows: Columns, ours: dict[int, bool], scenario: str) -> Outcome:
-    model, theirs = str(rows["model"][0]), _successes(rows)
+def _outcome(rows: Columns, ours: Columns, scenario: str) -> Outcome:
+    model = str(rows["model"][0])
     ran = rows["failure"] == ""
-    paired = sorted(ours.keys() & theirs.keys())
-    only_ours = sum(ours[i] and not theirs[i] for i in paired)
-    only_theirs = sum(theirs[i] and not ours[i] for i in paired)
+    is_paired = model != OURS and bool(np.isin(rows["trial_i"], ours["trial_i"]).any())
     return Outcome(
         model=model,
-        trials=len(theirs),
+        trials=len(ran),
         success=float(rows["success"].mean()),
-        interval=wilson(sum(theirs.values()), len(theirs)),
-        p_value=mcnemar_exact(only_ours, only_theirs) if model != OURS and paired else None,
+        interval=wilson(int(rows["success"].sum()), len(ran)),
+        p_value=_success_p(ours, rows) if is_paired else None,
+        distance_p_value=_distance_p(ours, rows) if is_paired else None,
         all_success=float(rows["all_success"].mean()),
         initial_mm=_mean(rows["initial_mm"][ran]),
         final_mm=_mean(rows["mean_final_mm"][ran]),
@@ -90,8 +96,21 @@ def _outcome(rows: Columns, ours: dict[int, bool], scenario: str) -> Outcome:
     )
 
 
-def _successes(rows: Columns) -> dict[int, bool]:
-    return dict(zip(rows["trial_i"].tolist(), rows["success"].tolist(), strict=True))
+def _success_p(ours: Columns, theirs: Columns) -> float:
+    first, second = _paired("success", ours, theirs)
+    return mcnemar_exact(int((first & ~second).sum()), int((second & ~first).sum()))
+
+
+def _distance_p(ours: Columns, theirs: Columns) -> float:
+    first, second = _paired("mean_final_mm", ours, theirs)
+    both = np.isfinite(first) & np.isfinite(second)
+    return signed_rank(first[both], second[both])
+
+
+def _paired(column: str, ours: Columns, theirs: Columns) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The values of both models in the trials that both have."""
+    _, first, second = np.intersect1d(ours["trial_i"], theirs["trial_i"], return_indices=True)
+    return ours[column][first], theirs[column][second]
 
 
 def _mean(values: NDArray[np.float64]) -> float:
@@ -107,6 +126,7 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
         f"{outcome.all_success:.2f}",
         f"{outcome.initial_mm:.0f}",
         f"{outcome.final_mm:.1f}",
+        "" if outcome.distance_p_value is None else f"{outcome.distance_p_value:.2g}",
         f"{outcome.steps:.1f}",
         str(outcome.failures),
         "" if outcome.printed is None else f"{outcome.printed:.2f}",
@@ -125,6 +145,7 @@ def _record(outcome: Outcome, scenario: str) -> dict[str, object]:
         "all_success": round(outcome.all_success, 4),
         "initial_mm": round(outcome.initial_mm, 2),
         "final_mm": round(outcome.final_mm, 2),
+        "distance_p_value": "" if outcome.distance_p_value is None else f"{outcome.distance_p_value:.6g}",
         "pushes": round(outcome.steps, 2),
         "did_not_run": outcome.failures,
         "paper": "" if outcome.printed is None else outcome.printed,
