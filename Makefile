@@ -38,7 +38,7 @@ check: setup ## ruff, mypy and pytest
 	ruff format --check .
 	ruff check .
 	mypy --strict oes
-	pytest -q
+	pytest -q --numprocesses auto
 
 setup: $(READY) ## the virtual environment with every pinned dependency
 
