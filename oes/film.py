@@ -74,7 +74,9 @@ def write_video(pictures: Iterable[Pixels], path: Path, pictures_per_s: int) -> 
     with av.open(str(path), "w", options={"fflags": "+bitexact"}) as container:
         stream = container.add_stream("libx264", rate=Fraction(pictures_per_s))
         stream.pix_fmt = "yuv420p"
-        stream.options = {"crf": "24", "preset": "veryfast", "threads": "1", "flags": "+bitexact"}
+        # Without mbtree=0 the same pictures give one of several files.
+        stream.options = {"crf": "26", "preset": "veryfast", "threads": "1", "flags": "+bitexact"}
+        stream.options |= {"x264-params": "mbtree=0"}
         for picture_i, pixels in enumerate(pictures):
             if picture_i == 0:
                 stream.height, stream.width = pixels.shape[:2]
