@@ -46,7 +46,7 @@ smoke: ## the whole study with tiny sizes, in minutes; its figures mean nothing
 	@$(MAKE) --no-print-directory all PROFILE=smoke
 
 meshes: ## the catalogue of objects
-episodes: ## pushes in the simulator, seen by 27 cameras
+episodes: ## pushes and falls in the simulator, seen by 27 cameras
 perception: ## train views -> 3D -> boxes and masks
 objects: ## what perception sees in every episode
 dynamics: ## train every model of how objects move

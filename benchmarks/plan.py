@@ -9,7 +9,7 @@ import torch
 from oes.config import load
 from oes.dynamics import MODELS
 from oes.dynamics.models import Learned, Seen
-from oes.dynamics.train import Dynamics
+from oes.dynamics.train import Tasks
 from oes.dynamics.unroll import Model, at_rest, unroll_from
 from oes.objects import Objects
 
@@ -52,7 +52,7 @@ def main() -> None:
     """Print one line a model."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--params", type=Path, default=Path("params.yaml"))
-    cfg = load(parser.parse_args().params, "dynamics", Dynamics)
+    cfg = load(parser.parse_args().params, "dynamics", Tasks).pushing
     torch.manual_seed(0)
     objects = scene(SEEN)
     print(

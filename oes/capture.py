@@ -15,9 +15,10 @@ from oes.record.writer import write_episode
 from oes.render.renderer import Renderer
 from oes.render.scene import mesh_poses, scene_meshes
 from oes.sim.client import BulletError
-from oes.sim.robot import robot_shape
+from oes.sim.robot import RobotShape, robot_shape
 from oes.sim.scene import Rejected
 from oes.sim.simulate import Episodes, simulate
+from oes.sim.world import Sim
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +36,7 @@ def capture_split(meshes: Path, cfg: Episodes, task: str, split: str, work: Path
 
     An episode that fails is left out and returned with its reason. Raises KeyError for an unknown split.
     """
-    missing = [i for i in range(cfg.splits[split].count) if not episode_folder(work, i).exists()]
+    missing = [i for i in range(cfg.splits[task][split].count) if not episode_folder(work, i).exists()]
     jobs = (delayed(_try_capture)(meshes, cfg, task, split, i, work) for i in missing)
     done = Parallel(n_jobs=cfg.num_workers, return_as="generator_unordered")(jobs)
     bar = tqdm(done, total=len(missing), desc=f"{task}-{split}", unit="episode")
@@ -52,7 +53,7 @@ def capture(catalogue: Catalogue, cfg: Episodes, task: str, split: str, index: i
 
 def write(episode: Episode, catalogue: Catalogue, cfg: Episodes, folder: Path) -> None:
     """Render all cameras of every state of an episode and record it as ``folder``."""
-    renderer = scene_renderer(episode, catalogue, cfg)
+    renderer = scene_renderer(episode, catalogue, cfg.sim)
     frames = (renderer.render(mesh_poses(step), step.cameras) for step in episode.steps)
     write_episode(episode, frames, folder)
 
@@ -62,10 +63,11 @@ def episode_folder(work: Path, index: int) -> Path:
     return work / f"traj_{index:06d}"
 
 
-def scene_renderer(episode: Episode, catalogue: Catalogue, cfg: Episodes) -> Renderer:
-    """The renderer of an episode's table, arm and bodies; ``mesh_poses(step)`` gives its poses."""
-    table = np.array(cfg.sim.physics.table_size_m)
-    return Renderer(scene_meshes(table, robot_shape(cfg.sim.robot), episode.bodies, catalogue))
+def scene_renderer(episode: Episode, catalogue: Catalogue, cfg: Sim) -> Renderer:
+    """The renderer of an episode's table, arm (if any) and bodies; ``mesh_poses(step)`` gives its poses."""
+    table = np.array(cfg.physics.table_size_m)
+    robot = robot_shape(cfg.robot) if episode.steps[0].has_robot else RobotShape(())
+    return Renderer(scene_meshes(table, robot, episode.bodies, catalogue))
 
 
 def _try_capture(meshes: Path, cfg: Episodes, task: str, split: str, index: int, work: Path) -> Failure | None:

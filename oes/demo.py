@@ -71,7 +71,7 @@ def main(cfg: Demo) -> None:
 
 
 def find_catalogue() -> Catalogue:
-    """The study's meshes if they are there, else the MIT Push plates alone (with the same split), made in a moment."""
+    """The study's meshes if they are there, else those made in a moment (plates and blocks, with the same split)."""
     if MESHES.exists():
         return load_catalogue(MESHES)
     if SPARE.exists():

@@ -40,6 +40,7 @@ class Step:
     ``center_N3`` and ``size_N3`` are the axis-aligned hull (world axes) of each posed mesh.
     ``touched_MM`` says which of the M = N + 2 things (table, robot, objects in order) were in contact
     at any moment since the previous recorded state (at the first state: all False).
+    Where there is no robot the tip is NaN, and J and L are 0.
     """
 
     t_ns: int
@@ -51,6 +52,11 @@ class Step:
     world_T_link_L44: Floats
     touched_MM: NDArray[np.bool_]
     cameras: tuple[Camera, ...]
+
+    @property
+    def has_robot(self) -> bool:
+        """False in a world of objects alone."""
+        return len(self.joints_rad_J) > 0
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,8 @@ class Frames:
 class Episode:
     """One trajectory: T + 1 states and the T actions between them (horizontal tip displacements, metres).
 
-    ``rod_rms_m`` is the RMS distance of the rod's tip from its commanded path over the simulation steps.
+    ``rod_rms_m`` is the RMS distance of the rod's tip from its commanded path over the simulation steps. Without a
+    robot it is NaN, and the actions are 0: time alone passes.
     """
 
     task: str

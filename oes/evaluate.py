@@ -21,13 +21,14 @@ from oes.percept.perceiver import Perceiver
 from oes.percept.solids import solids_of
 from oes.percept.store import ObjectStore, read_objects, write_objects
 from oes.record.dataset import FrameSource
-from oes.report.build import forecast_tables, forecasts
 from oes.report.names import MODELS
 from oes.report.provenance import describe_machine, provenance, read_seeds
 from oes.report.rows import ERRORS, read_columns
+from oes.report.study import forecast_tables, forecasts
 from oes.report.table import markdown, write_table
-from oes.rollout import COLUMNS, Rollouts, forecaster, split_rows
+from oes.rollout import Rollouts, forecaster
 from oes.rows import write_csv
+from oes.score import COLUMNS, split_rows, surfaces_of
 from oes.sim.simulate import Episodes, Split
 from oes.stage import PARAMS, publish, run, work_dir
 
@@ -52,7 +53,8 @@ def main(cfg: Evaluate, meshes: Path) -> None:
     perception, dynamics = find_weights((TRAINED, KEPT), ())
     out = Path("build") / f"evaluate-{meshes.resolve().name}"
     mesh_cfg, capture_cfg = load(PARAMS, "meshes", Meshes), load(PARAMS, "episodes", Episodes)
-    capture_cfg = replace(capture_cfg, splits={SPLIT: Split(count=cfg.episodes, min_objects=2, max_objects=2)})
+    split = Split(count=cfg.episodes, min_objects=2, max_objects=2)
+    capture_cfg = replace(capture_cfg, splits={**capture_cfg.splits, TASK: {SPLIT: split}})
     with work_dir(out, (mesh_cfg, capture_cfg, [meshes, perception, *dynamics.values()])) as work:
         if not (work / "meshes").exists():
             ingest_folder(meshes, mesh_cfg, work / "meshes")
@@ -98,11 +100,12 @@ def write_errors(work: Path, store: ObjectStore, dynamics: Mapping[str, Path], c
     """``report/errors.csv``: the errors of every model."""
     recorded = dict(enumerate(FrameSource(work / "episodes").episodes))
     catalogue = load_catalogue(work / "meshes")
+    surfaces = surfaces_of(catalogue, cfg.num_surface_points)
     rows = [
         asdict(row)
         for word, folder in dynamics.items()
         for row in split_rows(
-            forecaster(load_dynamics(folder), catalogue, cfg), store, recorded, (TASK, word, SPLIT), cfg
+            forecaster(load_dynamics(folder), catalogue, cfg), store, recorded, surfaces, (TASK, word, SPLIT), cfg
         )
     ]
     write_csv(work / "report" / "errors.csv", rows, COLUMNS)

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.spatial import KDTree
 
 from oes.episode import Floats
 from oes.geom.boxes import iou
@@ -26,6 +27,16 @@ def rotation_deg(found_33: Floats, true_33: Floats) -> Floats:
     """Geodesic angle between rotation matrices ...33, degrees in [0, 180]; exact for small angles too."""
     half_chord = np.linalg.norm(found_33 - true_33, axis=(-2, -1)) / 8**0.5
     return np.asarray(np.degrees(2 * np.arcsin(np.clip(half_chord, 0, 1))))
+
+
+def surface_mm(found_TQ3: Floats, surface_P3: Floats) -> Floats:
+    """Mean distance (mm) of points of a surface, as forecast, to the surface as it is: T of them, all in its frame.
+
+    Both in metres; ADD-S of Hinterstoisser et al. 2012. A turn that a symmetric object does not show is no error, but
+    for half the spacing of the P samples, about.
+    """
+    distance_TQ, _ = KDTree(surface_P3).query(found_TQ3)
+    return np.asarray(np.mean(distance_TQ, axis=-1) * 1e3)
 
 
 def bootstrap_mean(values: Floats, groups: Ints, seed: int) -> tuple[float, float, float]:

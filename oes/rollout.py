@@ -1,7 +1,7 @@
-"""Forecasts of test episodes held against what happened: every error of every step, as rows (paper section 4.1)."""
+"""What models forecast of test episodes: those that see what perception saw, and Bullet itself (paper section 4.1)."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,7 +13,6 @@ from oes.dynamics.bounds import Simulator
 from oes.dynamics.examples import padded, stack, true_motion
 from oes.dynamics.unroll import Model, unroll
 from oes.episode import Episode, Floats
-from oes.measure import rotation_deg, translation_mm
 from oes.meshes.catalogue import Catalogue
 from oes.objects import Objects
 from oes.percept.store import ObjectStore
@@ -26,36 +25,31 @@ CHUNKS = 16
 
 
 @params
+class Strips:
+    """Pictures of forecasts beside the truth: of the first ``count`` episodes of each task's ``splits``, under one
+    setting, seen by a camera on the rig's sphere with its own angles and image."""
+
+    splits: dict[str, str]
+    setting: str
+    count: int
+    azimuth_deg: float
+    elevation_deg: float
+    fov_deg: float
+    size_px: int
+
+
+@params
 class Rollouts:
-    """The section ``rollouts``: settings scored on each test split, what counts as moved, and Bullet for the replay."""
+    """The section ``rollouts``: settings scored on each test split, what counts as moved, points on each surface,
+    pictures, and Bullet for the replay."""
 
     settings: dict[str, tuple[str, ...]]
     moved_mm: float
     moved_deg: float
+    num_surface_points: int
+    strips: Strips
     num_workers: int
     sim: Sim
-
-
-@dataclass(frozen=True)
-class Row:
-    """One true object at one step of one forecast; an object that was not detected is forecast to stay."""
-
-    task: str
-    model: str
-    setting: str
-    split: str
-    episode_i: int
-    object_i: int
-    num_objects: int
-    num_views: int
-    T: int
-    translation_mm: float
-    rotation_deg: float
-    moved: int
-    detected: int
-
-
-COLUMNS = tuple(field.name for field in fields(Row))
 
 
 @dataclass(frozen=True)
@@ -75,6 +69,17 @@ class Scene:
     num_views: int
     objects: Objects
     truth: Sequence[int]
+
+
+def scenes_of(store: ObjectStore, setting: str, episodes: Mapping[int, Episode]) -> list[Scene]:
+    """The draws of a setting, but for missing episodes. Raises ObjectsError for a setting that the file lacks."""
+    draw_is = [draw_i for draw_i in store.draws(setting) if store.episode(draw_i) in episodes]
+    return [_scene(store, draw_i) for draw_i in draw_is]
+
+
+def _scene(store: ObjectStore, draw_i: int) -> Scene:
+    objects, truth = store.scene(draw_i)
+    return Scene(store.episode(draw_i), len(store.views(draw_i)), objects, truth.tolist())
 
 
 Forecaster = Callable[[Sequence[Scene], Mapping[int, Episode]], list[Forecast]]
@@ -149,48 +154,6 @@ def truth_of(episode: Episode, center_N3: Floats) -> Forecast:
     motions = [true_motion(episode.steps, i, center_3) for i, center_3 in enumerate(center_N3)]
     translation_TN3, rotation_TN33 = (np.stack(parts, axis=1) for parts in zip(*motions, strict=True))
     return Forecast(translation_TN3, rotation_TN33, np.ones(len(center_N3), dtype=bool))
-
-
-def split_rows(
-    forecast: Forecaster,
-    store: ObjectStore,
-    episodes: Mapping[int, Episode],
-    words: tuple[str, str, str],
-    cfg: Rollouts,
-) -> Iterator[Row]:
-    """The rows of every setting of one split; ``words`` are task, model and split. Missing episodes are skipped.
-
-    Raises ObjectsError for a setting that the objects file does not have.
-    """
-    task, model, split = words
-    for setting in cfg.settings[split]:
-        draw_is = [draw_i for draw_i in store.draws(setting) if store.episode(draw_i) in episodes]
-        scenes = [_scene(store, draw_i) for draw_i in draw_is]
-        for scene, found in zip(scenes, forecast(scenes, episodes), strict=True):
-            yield from _rows((task, model, setting, split), scene, found, episodes[scene.episode_i], cfg)
-
-
-def _scene(store: ObjectStore, draw_i: int) -> Scene:
-    objects, truth = store.scene(draw_i)
-    return Scene(store.episode(draw_i), len(store.views(draw_i)), objects, truth.tolist())
-
-
-def _rows(
-    words: tuple[str, str, str, str], scene: Scene, found: Forecast, episode: Episode, cfg: Rollouts
-) -> Iterator[Row]:
-    """The errors of one forecast; ``words`` are task, model, setting and split."""
-    true = truth_of(episode, episode.steps[0].center_N3)
-    error_mm_TN = translation_mm(found.translation_TN3, true.translation_TN3)
-    error_deg_TN = rotation_deg(found.rotation_TN33, true.rotation_TN33)
-    moved_mm_N = translation_mm(true.translation_TN3[-1], np.zeros(3))
-    moved_N = (moved_mm_N > cfg.moved_mm) | (rotation_deg(true.rotation_TN33[-1], np.eye(3)) > cfg.moved_deg)
-    steps, num = error_mm_TN.shape
-    for object_i in range(num):
-        about = (scene.episode_i, object_i, num, scene.num_views)
-        flags = (int(moved_N[object_i]), int(found.detected_N[object_i]))
-        for t in range(steps):
-            mm, deg = (round(float(error_TN[t, object_i]), 4) for error_TN in (error_mm_TN, error_deg_TN))
-            yield Row(*words, *about, t + 1, mm, deg, *flags)
 
 
 def forecaster(model: Model | Simulator, catalogue: Catalogue, cfg: Rollouts) -> Forecaster:

@@ -1,4 +1,4 @@
-"""meshes: the catalogue of objects to push: generated or ingested, scaled, decomposed, split into train and test."""
+"""meshes: the catalogue of objects to push and to drop: generated or ingested, scaled, decomposed, split in two."""
 
 from pathlib import Path
 

@@ -19,8 +19,9 @@ def main(cfg: Perception, meshes: Path, episodes: Path, out: Path) -> None:
         progress = work / "progress"
         progress.mkdir(exist_ok=True)
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        source = FrameSource(*(episodes / f"{task}-train" for task in cfg.tasks))
         solids = solids_of(load_catalogue(meshes), cfg.num_solid_points)
-        perceiver, log = train(cfg, FrameSource(episodes), solids, progress, device)
+        perceiver, log = train(cfg, source, solids, progress, device)
         perceiver.save(work / "perception.safetensors")
         write_csv(work / "log.csv", log, columns_of(log))
         shutil.rmtree(progress)

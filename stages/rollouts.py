@@ -4,31 +4,39 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+from PIL import Image
 from tqdm import tqdm
 
 from oes.dynamics.checkpoint import load
 from oes.meshes.catalogue import load_catalogue
 from oes.percept.store import read_objects
 from oes.record.dataset import read_states
-from oes.rollout import COLUMNS, Rollouts, forecaster, split_rows
+from oes.rollout import Rollouts, forecaster
 from oes.rows import write_csv
+from oes.score import COLUMNS, split_rows, strips, surfaces_of
 from oes.stage import publish, run, work_dir
 
 
 def main(
     cfg: Rollouts, task: str, model: str, meshes: Path, episodes: Path, objects: Path, dynamics: Path, out: Path
 ) -> None:
-    """Write ``errors.csv`` to ``out``."""
-    forecast = forecaster(load(dynamics), load_catalogue(meshes), cfg)
+    """Write ``errors.csv`` and ``scenes/<split>-<episode>.png`` to ``out``."""
+    catalogue = load_catalogue(meshes)
+    forecast = forecaster(load(dynamics), catalogue, cfg)
+    surfaces = surfaces_of(catalogue, cfg.num_surface_points)
 
-    def rows() -> Iterator[dict[str, object]]:
+    def rows(pictures: Path) -> Iterator[dict[str, object]]:
         for split in tqdm(cfg.settings, unit="split", disable=None):
             store = read_objects(objects / f"{task}-{split}" / "objects.safetensors")
             recorded = dict(enumerate(read_states(episodes / f"{task}-{split}")))
-            yield from map(asdict, split_rows(forecast, store, recorded, (task, model, split), cfg))
+            yield from map(asdict, split_rows(forecast, store, recorded, surfaces, (task, model, split), cfg))
+            if split == cfg.strips.splits[task]:
+                for episode_i, picture in strips(forecast, store, recorded, catalogue, cfg):
+                    Image.fromarray(picture).save(pictures / f"{split}-{episode_i:06d}.png")
 
     with work_dir(out, (cfg, task, model, [meshes, episodes, objects, dynamics])) as work:
-        write_csv(work / "errors.csv", rows(), COLUMNS)
+        (work / "scenes").mkdir(exist_ok=True)
+        write_csv(work / "errors.csv", rows(work / "scenes"), COLUMNS)
         publish(work, out)
 
 

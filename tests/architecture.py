@@ -17,9 +17,9 @@ from oes.stage import imports, reached
 
 # From the bottom up: a module or package of oes may import only those before it.
 ORDER = (
-    "config", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "stage", "fit", "report",
-    "meshes", "sim", "render", "record", "capture", "card", "film", "percept", "dynamics", "control", "rollout",
-    "trial", "evaluate", "demo",
+    "config", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "stage", "fit", "film",
+    "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics", "control", "rollout",
+    "score", "trial", "evaluate", "demo",
 )  # fmt: skip
 
 # Libraries that only some packages may import.

@@ -8,7 +8,7 @@ import trimesh
 from oes.config import load
 from oes.dynamics.checkpoint import save_model
 from oes.dynamics.models import OES, GraphXYZ, Seen
-from oes.dynamics.train import Dynamics
+from oes.dynamics.train import Tasks
 from oes.meshes.catalogue import Catalogue, save, write_mesh
 from oes.meshes.draft import Draft, Stand, placed
 from oes.percept.network import PerceptionNet
@@ -39,7 +39,7 @@ def make_weights(folder: Path) -> None:
     seen = Seen(crop_channels=channels, crop_side=roi.count, voxel_m=roi.voxel_m, image_side_px=IMAGE_PX)
     for word, kind in (("oes", OES), ("graph_xyz", GraphXYZ)):
         (folder / "dynamics" / f"pushing-{word}").mkdir(parents=True)
-        save_model(folder / "dynamics" / f"pushing-{word}", kind(load(SMOKE, "dynamics", Dynamics).net, seen))
+        save_model(folder / "dynamics" / f"pushing-{word}", kind(load(SMOKE, "dynamics", Tasks).pushing.net, seen))
     (folder / "perception").mkdir()
     Perceiver(net, torch.device("cpu")).save(folder / "perception" / "perception.safetensors")
 

@@ -43,6 +43,7 @@ CFG = Dynamics(
     net=NET,
     augment=Augment(turn=True, mirror=True, shift_m=0.004),
     weights={"translation": 1.0, "rotation": 1.0},
+    soft=1e-4,
     held_out=0.25,
     voxel_m=0.01,
     fit=FIT,

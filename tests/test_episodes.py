@@ -101,15 +101,16 @@ def test_unknown_words_and_impossible_scenes_are_refused(catalogue: Catalogue) -
         simulate(catalogue, CFG, "juggling", "train", 0)
     with pytest.raises(KeyError, match="test9"):
         simulate(catalogue, CFG, "pushing", "test9", 0)
-    crowded = replace(CFG.pushes, max_attempts=2, scatter=replace(CFG.pushes.scatter, rim_m=0.05))
+    crowded = replace(CFG.pushes, scatter=replace(CFG.pushes.scatter, rim_m=0.05))
     with pytest.raises(Rejected, match="2 attempts failed; the last: no room"):
-        simulate(catalogue, replace(CFG, pushes=crowded), "pushing", "test2", 0)
+        simulate(catalogue, replace(CFG, max_attempts=2, pushes=crowded), "pushing", "test2", 0)
 
 
 def small(count: int) -> Episodes:
     """Small pictures from two cameras, in this process."""
     rig = replace(CFG.sim.rig, num_azimuths=2, elevation_deg=(40.0,), width_px=32, height_px=32)
-    splits = {**CFG.splits, "test2": replace(CFG.splits["test2"], count=count)}
+    pushing = {"test2": replace(CFG.splits["pushing"]["test2"], count=count)}
+    splits = {**CFG.splits, "pushing": pushing}
     return replace(CFG, sim=replace(CFG.sim, rig=rig), splits=splits, num_workers=1)
 
 

@@ -1,4 +1,4 @@
-"""The catalogue as others see it: 31 meshes in their frame, a fixed stratified split, a folder that loads back."""
+"""The catalogue as others see it: 31 meshes to push, 13 blocks to drop, a fixed split, a folder that loads back."""
 
 import csv
 from dataclasses import replace
@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from oes.config import ParamsError, from_json, load, to_json
+from oes.meshes.blocks import BLOCKS
 from oes.meshes.build import Meshes, build_catalogue
-from oes.meshes.catalogue import Catalogue, CatalogueError, assign_splits, load_catalogue
+from oes.meshes.catalogue import BLOCK, Catalogue, CatalogueError, assign_splits, load_catalogue
 from oes.meshes.convex import inside
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -33,7 +34,7 @@ def catalogue(folder: Path) -> Catalogue:
     return load_catalogue(folder)
 
 
-def test_the_paper_set_of_31_is_split_24_to_7_within_every_category(catalogue: Catalogue) -> None:
+def test_the_31_meshes_to_push_are_split_24_to_7_within_every_category(catalogue: Catalogue) -> None:
     tally = {
         category: tuple(sum(m.category == category for m in catalogue.split(split)) for split in ("train", "test"))
         for category in ("mit_push", "camera", "mug", "bowl", "bed")
@@ -41,6 +42,24 @@ def test_the_paper_set_of_31_is_split_24_to_7_within_every_category(catalogue: C
     assert tally == {"mit_push": (8, 3), "camera": (4, 1), "mug": (4, 1), "bowl": (4, 1), "bed": (4, 1)}
     held_out = sorted(mesh.id[:-1] for mesh in catalogue.split("test") if mesh.category == "mit_push")
     assert held_out == ["mit_ellip", "mit_rect", "mit_tri"]
+
+
+def test_the_13_blocks_fall_and_one_of_each_family_is_held_out(catalogue: Catalogue) -> None:
+    train, test = (catalogue.split(split, "falling") for split in ("train", "test"))
+    assert len(train) == 9 and {mesh.category for mesh in train + test} == {BLOCK}
+    families = {f"block_{name}": family for family, blocks in BLOCKS.items() for name in blocks}
+    assert {mesh.id for mesh in train + test} == families.keys()
+    assert sorted(families[mesh.id] for mesh in test) == sorted(BLOCKS)
+    pushed = {mesh.id for split in ("train", "test") for mesh in catalogue.split(split, "pushing")}
+    assert pushed == catalogue.meshes.keys() - families.keys()
+
+
+def test_blocks_stand_as_the_originals_at_one_scale(catalogue: Catalogue, cfg: Meshes) -> None:
+    for name, shape in (pair for blocks in BLOCKS.values() for pair in blocks.items()):
+        mesh, unit_m = catalogue.meshes[f"block_{name}"], cfg.size.block_unit_m
+        np.testing.assert_allclose(mesh.extents_m_3, shape.solid.extents * unit_m, atol=1e-7)
+        com_m_3 = (shape.solid.center_mass - shape.solid.bounds.mean(0)) * unit_m
+        np.testing.assert_allclose(mesh.com_obj_3, com_m_3, atol=1e-7)
 
 
 def test_the_split_of_a_mesh_does_not_depend_on_other_strata() -> None:
@@ -53,7 +72,7 @@ def test_the_split_of_a_mesh_does_not_depend_on_other_strata() -> None:
 
 
 def test_meshes_are_canonical_and_of_the_size_asked_for(catalogue: Catalogue, cfg: Meshes) -> None:
-    longest_m = [mesh.extents_m_3[:2].max() for mesh in catalogue.meshes.values()]
+    longest_m = [mesh.extents_m_3[:2].max() for mesh in catalogue.meshes.values() if mesh.category != BLOCK]
     assert cfg.size.min_m <= min(longest_m) and max(longest_m) <= cfg.size.max_m + 1e-7
     assert 0.07 < np.mean(longest_m) < 0.09
     for mesh in catalogue.meshes.values():
@@ -85,7 +104,7 @@ def test_the_same_params_give_the_same_bytes(folder: Path, cfg: Meshes, tmp_path
     build_catalogue(small, tmp_path / "one")
     build_catalogue(small, tmp_path / "two")
     one, two = _contents(tmp_path / "one"), _contents(tmp_path / "two")
-    assert one == two and len(one) == 15 * 3 + 3
+    assert one == two and len(one) == (15 + 13) * 3 + 3
     changed = {name for name, content in one.items() if (folder / name).read_bytes() != content}
     assert changed == {"catalogue.csv", "contact_sheet.png"}
 
@@ -135,8 +154,10 @@ def test_a_folder_that_is_no_catalogue_and_an_empty_split_are_refused(tmp_path: 
     (tmp_path / "catalogue.csv").write_text("id,split\n../../etc,train\n")
     with pytest.raises(CatalogueError, match="not a plain name"):
         load_catalogue(tmp_path)
-    with pytest.raises(CatalogueError, match="no mesh in split 'validation'"):
+    with pytest.raises(CatalogueError, match="no mesh for pushing in split 'validation'"):
         catalogue.split("validation")
+    with pytest.raises(CatalogueError, match=r"no mesh for falling .* there are \{\}"):
+        Catalogue({"mug_1": catalogue.meshes["mug_1"]}).split("train", "falling")
 
 
 def test_ill_params_are_refused(cfg: Meshes) -> None:

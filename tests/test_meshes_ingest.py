@@ -46,6 +46,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         box.export(root / f"good_{suffix}.{suffix}")
     trimesh.creation.box((0.3, 0.1, 0.2)).export(root / "good_glb.GLB".lower())
     trimesh.creation.box((0.1, 0.1, 0.4)).export(root / "good_tower.stl")
+    (root / "block").mkdir()
+    box.export(root / "block" / "good.stl")
     (root / "toys").mkdir()
     box.copy().apply_scale(30000.0).export(root / "toys" / "kilometres.obj")
     box.copy().apply_scale(1e-6).export(root / "toys" / "micrometres.obj")
@@ -110,7 +112,7 @@ def test_a_bad_file_is_rejected_with_its_reason(source: str, ingested: tuple[Cat
 def test_nothing_else_is_rejected_and_all_others_are_taken(ingested: tuple[Catalogue, dict[str, str]]) -> None:
     catalogue, rejected = ingested
     assert rejected.keys() == REASONS.keys()
-    assert len(catalogue.split("test")) == len(catalogue.meshes) == 12
+    assert len(catalogue.split("test")) == len(catalogue.meshes) == 13
     assert {mesh.category for mesh in catalogue.meshes.values()} == {"custom", "toys"}
 
 
@@ -154,7 +156,7 @@ def test_a_shapenet_tree_is_read_upright_and_replaces_the_generators(
         _plant(solid, tmp_path / "net" / synset / "abc1" / "model.obj")
         _plant(trimesh.creation.box((1, 1, 0)), tmp_path / "net" / synset / "abc2" / "models" / "model_normalized.obj")
     catalogue = build_catalogue(replace(cfg, shapenet=str(tmp_path / "net")), tmp_path / "meshes")
-    assert len(catalogue.meshes) == 11 + 2 * 4
+    assert len(catalogue.meshes) == 11 + 13 + 2 * 4
     found = catalogue.meshes["mug_abc0"]
     assert found.source == "shapenet:03797390/abc0"
     truth = generate("mug", 0, np.random.default_rng(0)).solid.extents

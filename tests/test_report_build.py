@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,106 +13,18 @@ from oes.config import ParamsError, load
 from oes.report.build import Inputs, Tables, build, forecasts
 from oes.report.bundle import WeightsError, copy_half
 from oes.report.card import read_card
-from oes.report.names import MODELS, SETTINGS
-from oes.report.perception import BOX, DETECTIONS, VIEWS, detector_figures, view_figures
+from oes.report.names import METRICS, MODELS, SETTINGS
+from oes.report.perception import DETECTIONS, VIEWS, detector_figures, read_detections, view_figures
 from oes.report.provenance import describe_machine, read_seeds
 from oes.report.rows import ERRORS, TRIALS, RowsError, read_columns
-from oes.rows import write_csv
+from tests.report_inputs import make_inputs
 
-CFG = Tables(seed=0, profile="test", scenarios=("targets",))
-
-
-def _write_errors(folder: Path) -> None:
-    """Errors that grow with the model's place in the order, the number of objects, and fall with views."""
-    rng = np.random.default_rng(0)
-    scenes = [(2, "test2", setting) for setting in (*SETTINGS, "2views_pred", "3views_pred", "5views_pred")]
-    scenes += [(n, f"test{n}", "1view_pred") for n in (1, 3, 4, 5)]
-    for size, model in enumerate(MODELS, start=1):
-        rows = []
-        for num_objects, split, setting in scenes:
-            num_views = int(setting[0]) if setting[0].isdigit() else 1
-            for episode_i in range(4):
-                for object_i in range(num_objects):
-                    for T in (1, 2, 3, 4, 5):
-                        error = size * T * num_objects / num_views * rng.uniform(0.9, 1.1)
-                        values = (
-                            setting,
-                            split,
-                            episode_i,
-                            object_i,
-                            num_objects,
-                            num_views,
-                            T,
-                            error,
-                            error / 2,
-                            1,
-                            1,
-                        )
-                        names = [name for name in ERRORS if name != "model"]
-                        rows.append({"model": model} | dict(zip(names, values, strict=True)))
-        (folder / f"pushing-{model}").mkdir(parents=True)
-        write_csv(folder / f"pushing-{model}" / "errors.csv", rows, list(ERRORS))
-
-
-def _write_perception(folder: Path) -> None:
-    """Two true objects in each of two states: one found exactly, one missed; one false box with a low score."""
-    folder.mkdir(parents=True)
-    rows = []
-    for num_views in (1, 3):
-        for episode in (0, 1):
-            base = {"episode": episode, "step": 0, "num_views": num_views}
-            box = dict(zip(BOX, (0.1, 0, 0.02, 0.05, 0.05, 0.04), strict=True))
-            true = {f"true_{name}": value for name, value in box.items()}
-            rows.append(base | box | true | {"score": 0.9, "iou": 1.0, "centre_mm": 0.0, "mask_iou": 0.8})
-            rows.append(base | true | {"true_x_m": -0.1})
-            rows.append(base | box | {"x_m": 0.25, "score": 0.3})
-    write_csv(folder / "detections.csv", rows, [*DETECTIONS, "iou"])
-    views = [
-        {"episode": 0, "step": 0, "num_views": n, "camera": 3, "psnr_db": 20 + n + i, "ssim": 0.8}
-        for n in (1, 3)
-        for i in (0, 1)
-    ]
-    write_csv(folder / "views.csv", views, list(views[0]))
-
-
-def _write_trials(folder: Path) -> None:
-    for model, wins in (("oes", 5), ("graph_xyz", 3), ("graph_xyz_image", 2)):
-        (folder / f"targets-{model}").mkdir(parents=True)
-        rows = []
-        for i in range(6):
-            video = f"trial_{i:03d}.mp4" if i in (0, 5) else ""
-            values = ("targets", model, i, 1, i < wins, i < wins, 150.0, 20.0 if i < wins else 90.0, 21.0, 6, "", video)
-            rows.append(dict(zip(TRIALS, values, strict=True)))
-            for suffix in (".mp4", ".gif") if video else ():
-                (folder / f"targets-{model}" / f"trial_{i:03d}{suffix}").write_bytes(b"film")
-        write_csv(folder / f"targets-{model}" / "trials.csv", rows, list(TRIALS))
+CFG = Tables(seed=0, profile="test", tasks=("pushing", "falling"), scenarios=("targets",))
 
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
-    root = tmp_path_factory.mktemp("datasets")
-    names = ("meshes", "episodes", "perception", "objects", "dynamics", "rollouts", "trials")
-    found = Inputs(**{name: root / name for name in names})
-    _write_errors(found.rollouts)
-    _write_perception(found.objects / "pushing-test2")
-    _write_trials(found.trials)
-    for folder in (found.meshes, found.episodes / "pushing-train", found.perception, found.dynamics / "pushing-oes"):
-        folder.mkdir(parents=True)
-    (found.meshes / "contact_sheet.png").write_bytes(b"picture")
-    card = {
-        "episodes": 12,
-        "displacement_mm": {str(T): {"mean": 10.0 * T} for T in (1, 3, 5)},
-        "displacements_mm": {str(T): [5.0 * T, 15.0 * T] for T in (1, 3, 5)},
-        "rod_rms_mm": {"mean": 1.5},
-        "share_object_contact": 0.4,
-        "share_moved": 0.9,
-    }
-    (found.episodes / "pushing-train" / "card.json").write_text(json.dumps(card))
-    about = {"format": "f", "config": "{}", "a": "1", "z": "2"}
-    weights = {"w": np.linspace(-1, 1, 9, dtype=np.float32), "n": np.array([3], np.int64)}
-    save_file(weights, found.perception / "perception.safetensors", about)
-    save_file(weights, found.dynamics / "pushing-oes" / "model.safetensors", about)
-    return found
+    return make_inputs(tmp_path_factory.mktemp("datasets"))
 
 
 @pytest.fixture(scope="module")
@@ -122,17 +35,20 @@ def reports(inputs: Inputs, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_everything_is_there(reports: Path) -> None:
-    for name in ("table1", "table3", "by-objects", "by-views", "detector", "view-prediction"):
+    pushing = ("table1", "table3", "by-objects", "by-views", "detector", "view-prediction")
+    for name in (*pushing, "table2", "by-objects-falling", "detector-falling"):
         for suffix in ("md", "csv", "tex"):
             text = (reports / f"{name}.{suffix}").read_text()
             assert len(text) > 50, (name, suffix)
         assert "Profile test; episodes: 12 train, 4 test1" in (reports / f"{name}.md").read_text()
         assert "seeds: trials 0; machine: " in (reports / f"{name}.md").read_text()
     figures = {path.name for path in (reports / "figures").iterdir()}
-    stems = ("error-over-time", "by-objects", "by-views", "displacement")
+    both = ("error-over-time", "by-objects", "displacement")
+    stems = (*both, "by-views", *(f"{stem}-falling" for stem in both))
     assert figures == {f"{stem}.{kind}" for stem in stems for kind in ("png", "svg")}
     films = {path.name for path in (reports / "films").iterdir()}
-    assert films == {f"trial_{i}.{kind}" for i in ("000", "005") for kind in ("mp4", "gif")}
+    stems = ("trial_000", "trial_005", "rollouts-pushing", "rollouts-falling")
+    assert films == {f"{stem}.{kind}" for stem in stems for kind in ("mp4", "gif")}
     assert (reports / "contact_sheet.png").exists()
 
 
@@ -142,7 +58,10 @@ def test_the_page_shows_every_table_and_its_links_hold(reports: Path) -> None:
     assert {"table1.csv", "figures/by-views.png", "films/trial_000.gif", "contact_sheet.png"} <= set(links)
     for link in links:
         assert (reports / link).exists(), link
-    assert "ratio of mean errors: translation 2." in page, "oes is fifth in the order, graph_xyz second"
+    assert page.count("ratio of mean errors: translation 2.") == 2, "oes is fifth in the order, graph_xyz second"
+    below = page.split("## Forecasts\n")[1].split("## Trials\n")[0]
+    assert "![rollouts-pushing](films/rollouts-pushing.gif)" in below
+    assert "- [films/rollouts-falling.mp4](films/rollouts-falling.mp4)" in below
 
 
 def test_metrics_json_has_the_agreed_shape(reports: Path) -> None:
@@ -153,7 +72,9 @@ def test_metrics_json_has_the_agreed_shape(reports: Path) -> None:
         alone = set() if setting == "fixed_pred" else {"graph_xyz_image_fixed"}
         assert set(tree["pushing"][setting]) == set(MODELS) - alone
     model = tree["pushing"]["1view_pred"]["oes"]
-    assert set(model["translation_mm"]) == set(model["rotation_deg"]) == {"1", "3", "5"} and model["n"] == 8
+    assert set(METRICS) | {"n", "interval_95", "median", "diverged", "moved", "detected_share"} == set(model)
+    assert all(set(model[metric]) == set(model["median"][metric]) == {"1", "3", "5"} for metric in METRICS)
+    assert model["n"] == 8
     assert set(tree["by_objects"]) == set("12345") and set(tree["by_views"]) == set("1235")
     assert tree["by_objects"]["5"]["oes"]["n"] == 20
     assert tree["mpc"]["targets"]["oes"]["success"] == pytest.approx(5 / 6, abs=1e-4)
@@ -167,8 +88,36 @@ def test_metrics_json_has_the_agreed_shape(reports: Path) -> None:
     assert ratio["interval_95"][0] <= ratio["ratio"] == pytest.approx(2.5, rel=0.1)
 
 
+def test_metrics_json_tells_of_falls_in_the_same_form(reports: Path) -> None:
+    tree = json.loads((reports / "metrics.json").read_text())
+    assert set(tree["falling"]) == {"1view_pred", "1view_gt"}
+    ours, pushed = tree["falling"]["1view_pred"]["oes"], tree["pushing"]["1view_pred"]["oes"]
+    assert ours.keys() == pushed.keys() and ours["moved"].keys() == pushed["moved"].keys()
+    assert ours["n"] == 4 * (3 + 4), "the scenes of test3 and test4"
+    ratio = tree["ratio_falling"]["oes/graph_xyz"]["1view_pred"]["surface_mm"]["5"]
+    assert ratio["ratio"] == pytest.approx(2.5, rel=0.1)
+    assert set(tree["falling_by_objects"]) == set("12345") and "by_views_falling" not in tree
+    assert tree["capture_falling"] == {
+        "displacement_mm": {"1": 10.0, "3": 30.0, "5": 50.0},
+        "impact": {"1": 0.25, "5": 1.0},
+        "share_object_contact": 0.4,
+        "share_moved": 0.9,
+    }
+    alone, both = tree["detector"]["1view"], tree["detector_falling"]["1view"]
+    assert both["objects"] == 2 * alone["objects"] == 8 and both["ap_50"] == alone["ap_50"], "scenes are kept apart"
+
+
+def test_pushing_alone_is_told_as_before(inputs: Inputs, reports: Path, tmp_path: Path) -> None:
+    build(replace(CFG, tasks=("pushing",)), inputs, {"trials": 0}, tmp_path)
+    alone, both = (json.loads((folder / "metrics.json").read_text()) for folder in (tmp_path, reports))
+    more = {"falling", "ratio_falling", "falling_by_objects", "detector_falling", "capture_falling"}
+    assert alone == {key: value for key, value in both.items() if key not in more} and more < both.keys()
+    assert not list(tmp_path.rglob("*falling*")) and not (tmp_path / "table2.md").exists()
+    assert (tmp_path / "table1.md").read_bytes() == (reports / "table1.md").read_bytes()
+
+
 def test_by_views_counts_random_views_only(inputs: Inputs) -> None:
-    rows = read_columns(sorted(inputs.rollouts.glob("*/errors.csv")), ERRORS)
+    rows = read_columns(sorted(inputs.rollouts.glob("pushing-*/errors.csv")), ERRORS)
     found = forecasts(rows, seed=0)
     one = next(line for line in found.by_views if line.group == "1" and line.model == "oes" and line.objects == "all")
     assert one.n == 8, "the fixed view is one view too, but not a random one"
@@ -185,7 +134,7 @@ def test_the_same_rows_give_the_same_bytes(inputs: Inputs, reports: Path, tmp_pa
 
 def test_detector_figures_by_hand(inputs: Inputs) -> None:
     seen = inputs.objects / "pushing-test2"
-    figures = detector_figures(read_columns([seen / "detections.csv"], DETECTIONS))["1view"]
+    figures = detector_figures(read_detections([seen / "detections.csv"]))["1view"]
     assert figures["ap_25"] == figures["ap_50"] == pytest.approx(0.5), "half of the objects, before any false box"
     assert figures["mask_iou"] == pytest.approx(0.8) and figures["centre_mm"] == 0.0
     assert figures["objects"] == 4 and figures["boxes"] == 4
@@ -209,13 +158,17 @@ def test_weights_are_halved_in_a_fixed_order(inputs: Inputs, reports: Path, tmp_
         copy_half(tmp_path / "big.safetensors", tmp_path / "x")
 
 
-def test_broken_cards_and_params_say_so(tmp_path: Path) -> None:
+def test_broken_cards_and_params_say_so(inputs: Inputs, tmp_path: Path) -> None:
     path = tmp_path / "card.json"
+    card = json.loads((inputs.episodes / "falling-train" / "card.json").read_text())
+    path.write_text(json.dumps(card))
+    with pytest.raises(RowsError, match=r"card.json: no key 'rod_rms_mm'"):
+        read_card(path, "pushing")
     path.write_text('{"episodes": 3}')
     with pytest.raises(RowsError, match=r"card.json.*displacement"):
-        read_card(path)
+        read_card(path, "pushing")
     params = tmp_path / "params.yaml"
-    params.write_text("tables: {seed: 0, profile: x}\nepisodes: {fit: {seed: 4}, seed: 2}\n")
+    params.write_text("tables: {seed: 0, profile: x, tasks: [pushing]}\nepisodes: {fit: {seed: 4}, seed: 2}\n")
     with pytest.raises(ParamsError, match=r"tables.scenarios: missing"):
         load(params, "tables", Tables)
     assert read_seeds(params) == {"tables": 0, "episodes.fit": 4, "episodes": 2}
@@ -229,7 +182,7 @@ def test_the_machine_is_described_without_its_name() -> None:
 def test_rows_as_the_other_stages_write_them_are_read(tmp_path: Path) -> None:
     """The columns that rollouts and objects declare hold all that the report reads."""
     from oes.percept.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
-    from oes.rollout import COLUMNS
+    from oes.score import COLUMNS
     from oes.trial.contest import ROWS
 
     assert set(ERRORS) <= set(COLUMNS) and set(TRIALS) == set(ROWS)

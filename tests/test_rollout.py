@@ -6,19 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from oes.config import load
 from oes.dynamics.bounds import Simulator, Static
 from oes.episode import Episode, Floats
 from oes.objects import Objects
 from oes.percept.store import Draw, ObjectStore, pack, read_objects, write_objects
-from oes.rollout import Imagined, Replayed, Rollouts, Scene, carried, split_rows, truth_of
+from oes.rollout import Imagined, Replayed, Rollouts, Scene, carried, truth_of
+from oes.score import split_rows
 from oes.sim.simulate import Episodes, simulate
 from tests.blocks import make_catalogue
 from tests.factories import make_episode
 from tests.test_dynamics_models import make_objects
 
 CFG = load(Path(__file__).parents[1] / "params.yaml", "rollouts", Rollouts)
+SURFACES = {f"mesh_{i}": trimesh.creation.icosphere(2, 0.04).vertices for i in range(2)}
 
 
 def make_scene(episode: Episode, truth: list[int], beside_m: float = 0.0) -> Scene:
@@ -72,7 +75,7 @@ def store(tmp_path: Path) -> ObjectStore:
 
 def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(store: ObjectStore) -> None:
     episode = make_episode(num_steps=6)
-    rows = list(split_rows(Imagined(Static()), store, {0: episode}, ("pushing", "static", "test1"), CFG))
+    rows = list(split_rows(Imagined(Static()), store, {0: episode}, SURFACES, ("pushing", "static", "test1"), CFG))
     assert len(rows) == 3 * 2 * 5
     true = truth_of(episode, episode.steps[0].center_N3)
     for row in rows:
@@ -86,7 +89,7 @@ def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(sto
 
 
 def test_episodes_that_are_missing_are_skipped(store: ObjectStore) -> None:
-    assert list(split_rows(Imagined(Static()), store, {}, ("pushing", "static", "test1"), CFG)) == []
+    assert list(split_rows(Imagined(Static()), store, {}, SURFACES, ("pushing", "static", "test1"), CFG)) == []
 
 
 def test_the_simulator_foresees_the_truth_when_mass_and_friction_are_the_means(tmp_path: Path) -> None:

@@ -103,8 +103,8 @@ class Shove:
         along_BN = (offset_BN3 * forward_B3[:, None]).sum(-1)
         across_BN = (offset_BN3 - along_BN[..., None] * forward_B3[:, None]).norm(dim=-1)
         carried_BN = (length_B1 - (along_BN - 0.043)).clamp(min=0) * (across_BN < 0.035) * (along_BN > 0)
-        eye = torch.eye(3).expand(*carried_BN.shape, 3, 3)
-        return Motion(carried_BN[..., None] * forward_B3[:, None], eye)
+        dp_BN3 = carried_BN[..., None] * forward_B3[:, None]
+        return Motion(dp_BN3, torch.zeros_like(dp_BN3))
 
 
 def _planner(sim: Sim, eyes: Oracle) -> Planner[Step]:

@@ -20,8 +20,8 @@ class Static(Model):
 
     def forward(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
         """No motion."""
-        eye = torch.eye(3, dtype=action_B3.dtype, device=action_B3.device)
-        return Motion(torch.zeros_like(state.center_BN3), eye.expand_as(state.turned_BN33))
+        still = torch.zeros_like(state.center_BN3)
+        return Motion(still, still)
 
 
 class Simulator(nn.Module):

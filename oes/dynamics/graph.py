@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-import roma
 import torch
 from torch import Tensor, nn
 
@@ -13,12 +12,14 @@ from oes.config import params
 
 @params
 class Graph:
-    """Width and depth of each MLP, rounds of message passing, and the length that counts as 1 inside the network."""
+    """Width and depth of each MLP, rounds of message passing, the length that counts as 1 inside the network, and
+    whether an object's last rotation is an input (as its last displacement always is): what falls keeps spinning."""
 
     width: int
     layers: int
     rounds: int
     unit_m: float
+    spin: bool
 
 
 @dataclass(frozen=True)
@@ -26,11 +27,13 @@ class ObjectState:
     """Where N objects are after some steps; frames are world, lengths metres.
 
     ``center_BN3`` is the reference point (the box centre at t = 0, carried along), ``velocity_BN3`` its last
-    displacement, ``moved_BN3`` its displacement since t = 0, ``turned_BN33`` the rotation since t = 0.
+    displacement and ``spin_BN3`` the last rotation (as a vector, radians); ``moved_BN3`` is its displacement since
+    t = 0, ``turned_BN33`` the rotation since t = 0.
     """
 
     center_BN3: Tensor
     velocity_BN3: Tensor
+    spin_BN3: Tensor
     moved_BN3: Tensor
     turned_BN33: Tensor
     valid_BN: Tensor
@@ -41,6 +44,7 @@ def mirrored(state: ObjectState, mirror_33: Tensor) -> ObjectState:
     return ObjectState(
         center_BN3=state.center_BN3 @ mirror_33,
         velocity_BN3=state.velocity_BN3 @ mirror_33,
+        spin_BN3=-state.spin_BN3 @ mirror_33,
         moved_BN3=state.moved_BN3 @ mirror_33,
         turned_BN33=mirror_33 @ state.turned_BN33 @ mirror_33,
         valid_BN=state.valid_BN,
@@ -68,10 +72,10 @@ def whole(appearance_BNC: Tensor) -> Sight:
 
 @dataclass(frozen=True)
 class Motion:
-    """One step of every object: displacement of its reference point and rotation, both in world axes."""
+    """One step of every object: displacement of its reference point (metres) and rotation vector, in world axes."""
 
     dp_BN3: Tensor
-    dR_BN33: Tensor
+    spin_BN3: Tensor
 
 
 def mlp(inputs: int, width: int, layers: int) -> nn.Sequential:
@@ -99,8 +103,8 @@ class GraphNet(nn.Module):
     def __init__(self, cfg: Graph, appearance: int, contact: int = 0) -> None:
         """Widths of ``Sight.own_BNC``, and of its other two."""
         super().__init__()
-        self.unit_m = cfg.unit_m
-        node, edge = appearance + self.NODE_GEOMETRY, contact + self.EDGE_GEOMETRY
+        self.unit_m, self.spin = cfg.unit_m, cfg.spin
+        node, edge = appearance + self.NODE_GEOMETRY + 3 * cfg.spin, contact + self.EDGE_GEOMETRY
         self.from_agent = mlp(node + contact + self.AGENT_GEOMETRY, cfg.width, cfg.layers)
         senders = [node] + [cfg.width] * (cfg.rounds - 1)
         self.edges = nn.ModuleList(mlp(2 * size + edge, cfg.width, cfg.layers) for size in senders)
@@ -114,13 +118,12 @@ class GraphNet(nn.Module):
     ) -> Motion:
         """Motion of each object while the tip goes from ``tip_world_B3`` by ``action_B3`` (metres).
 
-        ``up_BN3`` is where each object's own vertical points.
+        ``up_BN3`` is where each object's own vertical points. A tip of NaN says that there is no robot.
         """
         axes_B33 = action_axes(action_B3)
         node_BNC = self._node(sight.own_BNC, state, up_BN3, axes_B33)
-        reach_BN23 = torch.stack(
-            [tip_world_B3[:, None] - state.center_BN3, action_B3[:, None].expand_as(state.center_BN3)], -2
-        )
+        to_tip_BN3 = (tip_world_B3[:, None] - state.center_BN3).nan_to_num()
+        reach_BN23 = torch.stack([to_tip_BN3, action_B3[:, None].expand_as(to_tip_BN3)], -2)
         reach_BN6 = (reach_BN23 @ axes_B33[:, None]).flatten(-2) / self.unit_m
         pushed_BNC = self.from_agent(torch.cat([node_BNC, reach_BN6, sight.path_BNC], -1))
         apart_BNN3 = (state.center_BN3[:, None] - state.center_BN3[:, :, None]) @ axes_B33[:, None] / self.unit_m
@@ -131,13 +134,14 @@ class GraphNet(nn.Module):
             messages_BNNC = edge(_receiver_sender(hidden_BNC, edge_BNNC)) * others_BNN1
             hidden_BNC = update(torch.cat([node_BNC, pushed_BNC, messages_BNNC.sum(2)], -1))
         out_BN23 = self.head(hidden_BNC).reshape(*hidden_BNC.shape[:-1], 2, 3) @ axes_B33.mT[:, None]
-        return Motion(out_BN23[..., 0, :] * self.unit_m, roma.rotvec_to_rotmat(out_BN23[..., 1, :]))
+        return Motion(out_BN23[..., 0, :] * self.unit_m, out_BN23[..., 1, :])
 
     def _node(self, appearance_BNC: Tensor, state: ObjectState, up_BN3: Tensor, axes_B33: Tensor) -> Tensor:
-        """What an object knows of itself: appearance, velocity, displacement, height, tilt."""
-        own_BN33 = torch.stack([state.velocity_BN3 / self.unit_m, state.moved_BN3 / self.unit_m, up_BN3], -2)
+        """What an object knows of itself: appearance, velocity, displacement, tilt, spin, height."""
+        vectors = [state.velocity_BN3 / self.unit_m, state.moved_BN3 / self.unit_m, up_BN3]
+        own_BNK3 = torch.stack([*vectors, state.spin_BN3] if self.spin else vectors, -2)
         height_BN1 = state.center_BN3[..., 2:] / self.unit_m
-        return torch.cat([appearance_BNC, (own_BN33 @ axes_B33[:, None]).flatten(-2), height_BN1], -1)
+        return torch.cat([appearance_BNC, (own_BNK3 @ axes_B33[:, None]).flatten(-2), height_BN1], -1)
 
 
 def action_axes(action_B3: Tensor) -> Tensor:

@@ -3,13 +3,13 @@
 from abc import abstractmethod
 from typing import ClassVar, cast
 
-import roma
 import torch
 from torch import Tensor
 
 from oes.config import params
 from oes.dynamics.augment import moved_objects
 from oes.dynamics.graph import Graph, GraphNet, Motion, ObjectState, halving, mirrored, mlp, whole
+from oes.dynamics.relief import RELIEF_OWN, RELIEF_PAIR, ReliefSight
 from oes.dynamics.slabs import Crop, SlabSight, fold
 from oes.dynamics.unroll import Model
 from oes.objects import Objects
@@ -87,9 +87,8 @@ class Learned(Model):
         here_BNC, there_BNC = appearance_BNC.chunk(2, -1)
         here = self.step(here_BNC, state, tip_world_B3, action_B3)
         there = self.step(there_BNC, mirrored(state, mirror_33), tip_world_B3 @ mirror_33, action_B3 @ mirror_33)
-        back_BN33 = mirror_33 @ there.dR_BN33 @ mirror_33
-        turn_BN3 = (roma.rotmat_to_rotvec(here.dR_BN33) + roma.rotmat_to_rotvec(back_BN33)) / 2
-        return Motion((here.dp_BN3 + there.dp_BN3 @ mirror_33) / 2, roma.rotvec_to_rotmat(turn_BN3))
+        dp_BN3 = (here.dp_BN3 + there.dp_BN3 @ mirror_33) / 2
+        return Motion(dp_BN3, (here.spin_BN3 - there.spin_BN3 @ mirror_33) / 2)
 
 
 class GraphXYZ(Learned):
@@ -136,23 +135,36 @@ class GraphXYZImageFixed(GraphXYZImage):
 class OES(Learned):
     """The paper's model: 3D feature crops of the first frame, carried along with each object.
 
-    The paper reads them once, pooled; here they are read anew at every step (see ``oes.dynamics.slabs``).
+    The paper reads them once, pooled; here they are read anew at every step: as slabs where objects are pushed (see
+    ``oes.dynamics.slabs``), as height maps where they fall (see ``oes.dynamics.relief``).
     """
 
     READS_CROPS = True
 
     def __init__(self, net: Net, seen: Seen) -> None:
         crop, side = net.crop, seen.crop_side
-        super().__init__(net, seen, appearance=crop.width, contact=crop.width)
-        self.shape = (min(crop.read, seen.crop_channels) * crop.slabs, side, side)
-        self.sight = SlabSight(crop, self.shape[0], side, side * seen.voxel_m)
+        extra = (RELIEF_OWN, RELIEF_PAIR) if crop.sight == "relief" else (0, 0)
+        super().__init__(net, seen, appearance=crop.width + extra[0], contact=crop.width + extra[1])
+        channels = min(crop.read, seen.crop_channels) * crop.slabs
+        self.shape = (channels, side, side) if crop.sight == "slabs" else (side, side, side)
+        self.sight: SlabSight | ReliefSight
+        if crop.sight == "slabs":
+            self.sight = SlabSight(crop, channels, side, side * seen.voxel_m)
+        else:
+            self.sight = ReliefSight(crop, side, seen.voxel_m, net.graph.unit_m)
 
     def look(self, objects: Objects) -> Tensor:
-        """BNC: the crops' slabs, flattened, in world axes at t = 0."""
-        return fold(objects.crop_NCXYZ[:, :, : self.net.crop.read], self.net.crop.slabs).flatten(2)
+        """BNC: the crops' slabs, or their masks, flattened, in world axes at t = 0."""
+        crop = self.net.crop
+        if crop.sight == "relief":
+            return objects.crop_NCXYZ[:, :, 0].flatten(2)
+        return fold(objects.crop_NCXYZ[:, :, : crop.read], crop.slabs).flatten(2)
 
     def step(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
         """Motion of every object over one action."""
-        slabs_BNKXY = appearance_BNC.reshape(*appearance_BNC.shape[:2], *self.shape)
-        sight = self.sight(slabs_BNKXY, state, tip_world_B3, action_B3)
+        first = appearance_BNC.reshape(*appearance_BNC.shape[:2], *self.shape)
+        if isinstance(self.sight, ReliefSight):
+            sight = self.sight(first, state, action_B3)
+        else:
+            sight = self.sight(first, state, tip_world_B3, action_B3)
         return cast(Motion, self.graph(sight, state, state.turned_BN33[..., 2], tip_world_B3, action_B3))

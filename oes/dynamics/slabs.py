@@ -6,6 +6,8 @@ above, in axes turned so that the action points along x: around the object, arou
 objects. Only turns about the vertical are followed.
 """
 
+from typing import Literal
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -15,6 +17,7 @@ from oes.dynamics.graph import ObjectState, Sight, action_axes, halving, heading
 
 BEHIND_CELLS = 5  # of the window around the tip's path; the rest lies ahead
 FAR_M = 0.07
+NOWHERE_M = 1e3  # where the path of an absent tip is
 PATH = 2
 
 Shapes = tuple[Tensor, Tensor, Tensor]  # slabs BNKXY at t = 0, where the objects are BN3, their turn since BN (radians)
@@ -22,10 +25,13 @@ Shapes = tuple[Tensor, Tensor, Tensor]  # slabs BNKXY at t = 0, where the object
 
 @params
 class Crop:
-    """How crops are read: so many of their channels (the mask is the first), folded into ``slabs`` of height; output
-    channels of the 2D convolutions (stride 2 each) and the width of the two layers after them; the size of a cell of
-    the windows around an object and between two (as many cells as the crop has), and around the tip's path."""
+    """How crops are read. ``sight`` is ``slabs`` (what is pushed: turns about the vertical, around the tip's path) or
+    ``relief`` (what falls: the mask alone, any turn; ``oes.dynamics.relief``). Slabs read so many channels (the mask is
+    the first), folded into ``slabs`` of height. Then: output channels of the 2D convolutions (stride 2 each) and the
+    width of the two layers after them; the size of a cell of the windows around an object and between two (as many
+    cells as the crop has), and around the tip's path."""
 
+    sight: Literal["slabs", "relief"]
     read: int
     slabs: int
     channels: tuple[int, ...]
@@ -66,18 +72,18 @@ class SlabSight(nn.Module):
         self.path = SlabNet(channels + PATH, cfg, side)
         self.pair = SlabNet(2 * channels, cfg, side)
         half = side / 2
-        self.register_buffer("here_P3", _window(side, cfg.cell_m, (half, half)), persistent=False)
-        self.register_buffer("path_P3", _window(side, cfg.path_cell_m, (BEHIND_CELLS, half)), persistent=False)
+        self.register_buffer("here_P3", window(side, cfg.cell_m, (half, half)), persistent=False)
+        self.register_buffer("path_P3", window(side, cfg.path_cell_m, (BEHIND_CELLS, half)), persistent=False)
 
     def forward(self, slabs_BNKXY: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Sight:
         """``slabs_BNKXY`` as at t = 0; the tip goes from ``tip_world_B3`` by ``action_B3`` (metres)."""
         axes_B33 = action_axes(action_B3)
         shapes = (slabs_BNKXY, state.center_BN3.detach(), heading(state.turned_BN33.detach()))
         here_BP3 = self.here_P3 @ axes_B33.mT
-        path_BP3 = tip_world_B3[:, None] + self.path_P3 @ axes_B33.mT
+        path_BP3 = tip_world_B3.nan_to_num(nan=NOWHERE_M)[:, None] + self.path_P3 @ axes_B33.mT
         return Sight(
-            own_BNC=_each(self.own, self._look(shapes, shapes[1][:, :, None] + here_BP3[:, None])),
-            path_BNC=_each(self.path, self._path(shapes, path_BP3, action_B3)),
+            own_BNC=read_each(self.own, self._look(shapes, shapes[1][:, :, None] + here_BP3[:, None])),
+            path_BNC=read_each(self.path, self._path(shapes, path_BP3, action_B3)),
             pair_BNNC=self._pairs(shapes, here_BP3),
         )
 
@@ -94,7 +100,7 @@ class SlabSight(nn.Module):
         receivers, senders = (~torch.eye(num, dtype=torch.bool, device=center_BN3.device)).nonzero().unbind(1)
         ends = [(slabs_BNKXY[:, i], center_BN3[:, i], turned_BN[:, i]) for i in (receivers, senders)]
         between_BEP3 = ((ends[0][1] + ends[1][1]) / 2)[:, :, None] + here_BP3[:, None]
-        found_BEC = _each(self.pair, torch.cat([self._look(end, between_BEP3) for end in ends], 2))
+        found_BEC = read_each(self.pair, torch.cat([self._look(end, between_BEP3) for end in ends], 2))
         pair_BNNC = found_BEC.new_zeros(len(found_BEC), num, num, found_BEC.shape[-1])
         pair_BNNC[:, receivers, senders] = found_BEC
         return pair_BNNC
@@ -120,13 +126,13 @@ class SlabSight(nn.Module):
         return near.reshape(-1, PATH, self.side, self.side)
 
 
-def _each(net: nn.Module, image_BNKXY: Tensor) -> Tensor:
+def read_each(net: nn.Module, image_BNKXY: Tensor) -> Tensor:
     """Features BNC of every window image."""
     features: Tensor = net(image_BNKXY.flatten(0, 1))
     return features.reshape(*image_BNKXY.shape[:2], features.shape[-1])
 
 
-def _window(side: int, cell_m: float, origin: tuple[float, float]) -> Tensor:
+def window(side: int, cell_m: float, origin: tuple[float, float]) -> Tensor:
     """Centres P3 of side x side horizontal cells; ``origin`` is where (0, 0) lies, counted in cells."""
     lines = [(torch.arange(side) + 0.5 - first) * cell_m for first in origin]
     x, y = torch.meshgrid(*lines, indexing="ij")

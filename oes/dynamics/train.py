@@ -1,6 +1,7 @@
 """Training a dynamics model through its unroll: the errors of every step are propagated back through time."""
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import cast
 
@@ -19,19 +20,35 @@ from oes.fit import fit
 
 @params
 class Dynamics:
-    """The section ``dynamics``: settings of the objects file that models learn from, network, data and training.
+    """One task's models: settings of the objects file that they learn from, network, data and training.
 
     ``draws`` lists the settings of each kind of views: ``random`` ones, or the ``fixed`` one. ``voxel_m`` is the size
-    of the crops' voxels, ``held_out`` the share of training episodes that only validate.
+    of the crops' voxels, ``held_out`` the share of training episodes that only validate; ``soft`` see ``loss_terms``.
     """
 
     draws: dict[str, tuple[str, ...]]
     net: Net
     augment: Augment
     weights: dict[str, float]
+    soft: float
     held_out: float
     voxel_m: float
     fit: Fit
+
+
+@params
+class Tasks:
+    """The section ``dynamics``."""
+
+    pushing: Dynamics
+    falling: Dynamics
+
+    def of(self, task: str) -> Dynamics:
+        """A task's settings. Raises ValueError for an unknown task."""
+        if task not in (names := [field.name for field in fields(self)]):
+            raise ValueError(f"dynamics: unknown task {task!r}; there are: {', '.join(names)}")
+        found: Dynamics = getattr(self, task)
+        return found
 
 
 def train(model: Model, examples: Examples, cfg: Dynamics, work: Path) -> list[dict[str, float]]:
@@ -45,7 +62,7 @@ def train(model: Model, examples: Examples, cfg: Dynamics, work: Path) -> list[d
 
     def loss(learner: nn.Module, batch: Batch) -> Mapping[str, Tensor]:
         found = unroll(cast(Model, learner), batch.objects, batch.tip_B3, batch.actions_BT3)
-        return loss_terms(found, batch, cfg.net.graph.unit_m)
+        return loss_terms(found, batch, cfg.net.graph.unit_m, cfg.soft)
 
     def validate(learner: nn.Module) -> Mapping[str, float]:
         held = examples.batch(held_D)

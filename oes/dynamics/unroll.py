@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+import roma
 import torch
 from torch import Tensor, nn
 
@@ -38,7 +39,7 @@ def at_rest(center_BN3: Tensor, valid_BN: Tensor) -> ObjectState:
     """The state at t = 0: nothing has moved."""
     eye = torch.eye(3, dtype=center_BN3.dtype, device=center_BN3.device).expand(*center_BN3.shape, 3)
     zero = torch.zeros_like(center_BN3)
-    return ObjectState(center_BN3, zero, zero, eye, valid_BN)
+    return ObjectState(center_BN3, zero, zero, zero, eye, valid_BN)
 
 
 def advance(state: ObjectState, motion: Motion) -> ObjectState:
@@ -46,8 +47,9 @@ def advance(state: ObjectState, motion: Motion) -> ObjectState:
     return ObjectState(
         center_BN3=state.center_BN3 + motion.dp_BN3,
         velocity_BN3=motion.dp_BN3,
+        spin_BN3=motion.spin_BN3,
         moved_BN3=state.moved_BN3 + motion.dp_BN3,
-        turned_BN33=motion.dR_BN33 @ state.turned_BN33,
+        turned_BN33=roma.rotvec_to_rotmat(motion.spin_BN3) @ state.turned_BN33,
         valid_BN=state.valid_BN,
     )
 

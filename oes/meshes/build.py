@@ -6,12 +6,15 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from oes.config import params
+from oes.meshes.blocks import BLOCKS
 from oes.meshes.catalogue import (
+    BLOCK,
     TEST,
     Catalogue,
     CatalogueError,
@@ -37,21 +40,23 @@ MIT_PUSH = "mit_push"
 
 @params
 class Size:
-    """Longest horizontal side of a mesh: a triangular distribution; the height of MIT Push plates: uniform."""
+    """Longest horizontal side of a mesh: a triangular distribution; the height of MIT Push plates: uniform; half the
+    side of the cube among the blocks."""
 
     min_m: float
     mode_m: float
     max_m: float
     plate_min_m: float
     plate_max_m: float
+    block_unit_m: float
 
 
 @params
 class Meshes:
     """The meshes stage: ``per_category`` cameras, mugs, bowls and beds, generated, or from a ShapeNetCore folder.
 
-    ``folder`` adds all meshes of any folder. ``test_share`` of each category (of MIT Push: of each family of
-    outlines), rounded up, is held out; a lone mesh is for training.
+    ``folder`` adds all meshes of any folder. ``test_share`` of each category (of MIT Push and of the blocks: of each
+    family), rounded up, is held out; a lone mesh is for training.
     """
 
     seed: int
@@ -65,12 +70,13 @@ class Meshes:
 
 
 def build_catalogue(cfg: Meshes, out: Path) -> Catalogue:
-    """The MIT Push plates, the four categories and the meshes of the user's folder, if any; ``out`` appears whole.
+    """The MIT Push plates, the four categories, the blocks and the meshes of the user's folder; ``out`` appears whole.
 
     Raises CatalogueError when a source that was asked for gives nothing usable.
     """
     with _whole(out) as folder:
         taken = [(_add(draft, cfg, folder)[0], family) for family, draft in _plates(cfg)]
+        taken += _add_blocks(cfg, folder)
         rejections: list[Rejection] = []
         for category in GENERATORS:
             if cfg.shapenet is None:
@@ -118,6 +124,19 @@ def _plates(cfg: Meshes) -> Iterator[tuple[str, Draft]]:
         yield id_.rstrip("123"), Draft(id_, MIT_PUSH, "parametric", status, shape.solid, shape.parts)
 
 
+def _add_blocks(cfg: Meshes, folder: Path) -> list[tuple[str, str]]:
+    """Write the blocks; gives the id and stratum of each: its family, as no folder of the user's can be called."""
+    taken = []
+    for family, blocks in BLOCKS.items():
+        for name, shape in blocks.items():
+            status = f"generated; 1 unit is {cfg.size.block_unit_m * 1e3:.1f} mm"
+            draft = Draft(f"{BLOCK}_{name}", BLOCK, "parametric", status, shape.solid, shape.parts)
+            longest_m = float(shape.solid.extents[:2].max()) * cfg.size.block_unit_m
+            write_mesh(*placed(draft, longest_m, cfg.ingest.stand), folder / draft.id)
+            taken.append((draft.id, f"{BLOCK}/{family}"))
+    return taken
+
+
 def _generated(category: str, cfg: Meshes) -> Iterator[Draft]:
     for style in range(cfg.per_category):
         id_ = f"{category}_{style + 1}"
@@ -133,7 +152,11 @@ def _add(draft: Draft, cfg: Meshes, folder: Path) -> tuple[str, str]:
 def _add_files(
     candidates: Sequence[Candidate], cfg: Meshes, folder: Path, rejections: list[Rejection]
 ) -> list[tuple[str, str]]:
-    """Ingest candidates; gives (id, category) of those taken and extends ``rejections`` by the others."""
+    """Ingest candidates; gives (id, category) of those taken and extends ``rejections`` by the others.
+
+    They are pushed, so those in a folder called as the falling blocks' category count as 'custom'.
+    """
+    candidates = [replace(c, category="custom") if c.category == BLOCK else c for c in candidates]
     refused = ingest(candidates, [_longest_m(c.id, cfg) for c in candidates], cfg.ingest, folder, CACHE)
     rejections += refused
     taken = [(c.id, c.category) for c in candidates if (folder / c.id).exists()]

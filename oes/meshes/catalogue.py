@@ -22,6 +22,8 @@ from oes.meshes.objfile import read_groups, write_groups
 LIST, REJECTED = "catalogue.csv", "rejected.csv"
 VISUAL, COLLISION, RECORD = "visual.obj", "collision.obj", "mesh.json"
 TRAIN, TEST = "train", "test"
+BLOCK = "block"  # the category of meshes that fall; all others are pushed
+FALLING = "falling"
 
 
 class CatalogueError(ValueError):
@@ -60,11 +62,16 @@ class Catalogue:
 
     meshes: dict[str, Mesh]
 
-    def split(self, name: str) -> list[Mesh]:
-        """The meshes of 'train' or 'test'. Raises CatalogueError when there are none."""
-        found = [mesh for mesh in self.meshes.values() if mesh.split == name]
+    def split(self, name: str, task: str = "pushing") -> list[Mesh]:
+        """The meshes of 'train' or 'test' for a task: blocks fall, all others are pushed.
+
+        Raises CatalogueError when there are none.
+        """
+        mine = [mesh for mesh in self.meshes.values() if (mesh.category == BLOCK) == (task == FALLING)]
+        found = [mesh for mesh in mine if mesh.split == name]
         if not found:
-            raise CatalogueError(f"no mesh in split '{name}'; there are {dict(self.counts())}")
+            counts = dict(Counter(mesh.split for mesh in mine))
+            raise CatalogueError(f"no mesh for {task} in split '{name}'; for {task} there are {counts}")
         return found
 
     def counts(self) -> Counter[str]:

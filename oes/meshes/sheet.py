@@ -23,8 +23,10 @@ CATEGORY_RGB = {
     "mug": (0.80, 0.45, 0.34),
     "bowl": (0.36, 0.61, 0.55),
     "bed": (0.82, 0.67, 0.46),
+    "block": (0.57, 0.52, 0.70),
 }
-OTHER_RGB = (0.57, 0.52, 0.70)
+OTHER_RGB = (0.66, 0.58, 0.52)
+NAME_PT, FULL_LETTERS, MOST_LETTERS = 9.5, 23, 30  # longer names are set smaller, then cut
 
 
 def write_sheet(catalogue: Catalogue, tile_px: int, path: Path) -> None:
@@ -59,7 +61,9 @@ def _tile(canvas: Axes, mesh: Mesh, left_px: float, top_px: float, tile_px: int)
     bar_px, base_px = BAR_M * px_per_m, top_px + tile_px - 5
     canvas.plot([left_px, left_px + bar_px], [base_px, base_px], color=FAINT, linewidth=1.6, solid_capstyle="butt")
     name_px, size_px = top_px + tile_px + 14, top_px + tile_px + 33
-    canvas.text(left_px, name_px, mesh.id[:24], color=INK, fontsize=9.5, weight="bold", va="center")
+    name = mesh.id[:MOST_LETTERS]
+    name_pt = NAME_PT * min(1.0, FULL_LETTERS / len(name))
+    canvas.text(left_px, name_px, name, color=INK, fontsize=name_pt, weight="bold", va="center")
     sides = " \u00d7 ".join(f"{side * 1e3:.0f}" for side in mesh.extents_m_3)
     canvas.text(left_px, size_px, f"{mesh.category.replace('_', ' ')}   {sides}", color=FAINT, fontsize=8, va="center")
     is_test = mesh.split == TEST

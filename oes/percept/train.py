@@ -24,9 +24,11 @@ class Perception:
 
     ``weights`` of the loss terms; ``num_proposals`` of the net's own boxes a scene train the second stage and
     ``num_rendered`` scenes a batch, unmoved, the view decoder. ``num_solid_points`` describe each mesh. The last
-    ``validation_share`` of the episodes, at most ``num_validation`` of them, are never trained on.
+    ``validation_share`` of the episodes, at most ``num_validation`` of them, are never trained on. One network serves
+    all ``tasks``: it learns from the training episodes of each.
     """
 
+    tasks: tuple[str, ...]
     network: Network
     sampling: Sampling
     weights: dict[str, float]

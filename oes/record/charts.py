@@ -35,23 +35,28 @@ def plan_svg(episode: Episode) -> str:
     """The table from above, x to the right, y up: hulls at every state, the rod's path, the commanded path dashed."""
     tips_T3 = np.array([step.tip_world_3 for step in episode.steps])
     commanded_T3 = tips_T3[0] + np.vstack([np.zeros((1, 3)), np.cumsum(episode.actions_T3, axis=0)])
-    half = 1.08 * max(TABLE_HALF_M, np.abs(tips_T3[:, :2]).max(), _reach(episode))
+    half = 1.08 * np.nanmax([TABLE_HALF_M, _reach(episode), *np.abs(tips_T3[:, :2]).flat])
     hulls = [
         f'<rect class="hull" data-mark="{step_i}" x="{center[0] - size[0] / 2:.4f}" y="{-center[1] - size[1] / 2:.4f}" '
         f'width="{size[0]:.4f}" height="{size[1]:.4f}" stroke="{object_color(object_i)}"/>'
         for step_i, step in enumerate(episode.steps)
         for object_i, (center, size) in enumerate(zip(step.center_N3, step.size_N3, strict=True))
     ]
-    tips = [
-        f'<circle class="tip" data-mark="{step_i}" cx="{tip[0]:.4f}" cy="{-tip[1]:.4f}" r="0.008"/>'
-        for step_i, tip in enumerate(tips_T3)
-    ]
     side = 2 * TABLE_HALF_M
     return (
         f'<svg class="plan" width="{PLAN_PX}" height="{PLAN_PX}" viewBox="{-half} {-half} {2 * half} {2 * half}">'
         f'<rect x="{-TABLE_HALF_M}" y="{-TABLE_HALF_M}" width="{side}" height="{side}" class="table"/>'
-        f"{''.join(hulls)}{_line(commanded_T3, 'commanded')}{_line(tips_T3, 'rod')}{''.join(tips)}</svg>"
+        f"{''.join(hulls)}{_rod(tips_T3, commanded_T3) if episode.steps[0].has_robot else ''}</svg>"
     )
+
+
+def _rod(tips_T3: Floats, commanded_T3: Floats) -> str:
+    """The rod's path, the commanded one, and the rod at every state."""
+    tips = [
+        f'<circle class="tip" data-mark="{step_i}" cx="{tip[0]:.4f}" cy="{-tip[1]:.4f}" r="0.008"/>'
+        for step_i, tip in enumerate(tips_T3)
+    ]
+    return _line(commanded_T3, "commanded") + _line(tips_T3, "rod") + "".join(tips)
 
 
 def _reach(episode: Episode) -> float:

@@ -16,11 +16,15 @@ def read_states(folder: Path) -> list[Episode]:
 
 
 class FrameSource:
-    """Images of one split by position: (episode, state, cameras). Cheap to send to another process."""
+    """Images of one split by position: (episode, state, cameras). Cheap to send to another process.
 
-    def __init__(self, folder: Path) -> None:
-        self.folders = list_episodes(folder)
-        self.episodes = read_states(folder)
+    Several splits are mixed evenly: any run of neighbours holds of each what the whole holds of it.
+    """
+
+    def __init__(self, *folders: Path) -> None:
+        found = [(at, path) for folder in folders for at, path in _placed(list_episodes(folder))]
+        self.folders = [path for _, path in sorted(found, key=lambda each: each[0])]
+        self.episodes = [read_episode(path) for path in self.folders]
 
     def __len__(self) -> int:
         return len(self.folders)
@@ -30,3 +34,8 @@ class FrameSource:
         frames = read_frames(self.folders[episode_i], step_i, camera_is)
         cameras = self.episodes[episode_i].steps[step_i].cameras
         return frames, tuple(cameras[camera_i] for camera_i in camera_is)
+
+
+def _placed(paths: Sequence[Path]) -> list[tuple[float, Path]]:
+    """Each path with its place among them, from 0 to 1."""
+    return [((i + 0.5) / len(paths), path) for i, path in enumerate(paths)]

@@ -19,7 +19,7 @@ from oes.record.pictures import box_path, depth_picture, jpeg_uri, mosaic, objec
 from oes.record.reader import read_episode, read_frames
 
 COLOR_QUALITY, DEPTH_QUALITY = 82, 75
-PLAN_CAPTION = "The table from above, robot to the left. The rod: black; as commanded: dashed."
+PLAN_CAPTION = "The table from above; the rod, if there is one: black; as commanded: dashed."
 LAYERS = ("colour", "depth", "segmentation")
 
 
@@ -43,16 +43,17 @@ def episode_sheet(folder: Path) -> str:
   {contacts_svg(episode)}<figcaption>Contacts since the state before.</figcaption></figure>
   <figure>{_bodies_table(episode)}</figure>
 </section>
-<section><h2>Actions</h2>{_actions_table(episode)}</section>"""
+{_actions_table(episode) if episode.steps[0].has_robot else ""}"""
     return page(title, body, SHEET_SCRIPT)
 
 
 def _summary(episode: Episode) -> str:
     duration_s = episode.steps[-1].t_ns / 1e9
+    rod = f"rod {episode.rod_rms_m * MM:.1f} mm RMS from its commanded path"
     return (
         f"{len(episode.bodies)} objects, {len(episode.steps)} states over {duration_s:g} s, "
         f"{len(episode.steps[0].cameras)} cameras, seed {episode.seed}, "
-        f"rod {episode.rod_rms_m * MM:.1f} mm RMS from its commanded path"
+        f"{rod if episode.steps[0].has_robot else 'no robot'}"
     )
 
 
@@ -121,7 +122,8 @@ def _actions_table(episode: Episode) -> str:
         f"<td>{np.hypot(x, y) * MM:.1f}</td><td>{np.degrees(np.arctan2(y, x)):.0f}°</td></tr>"
         for i, (x, y, _) in enumerate(episode.actions_T3)
     )
-    return f"<table><tr><th>states</th><th>x mm</th><th>y mm</th><th>length mm</th><th>heading</th></tr>{rows}</table>"
+    head = "<tr><th>states</th><th>x mm</th><th>y mm</th><th>length mm</th><th>heading</th></tr>"
+    return f"<section><h2>Actions</h2><table>{head}{rows}</table></section>"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,1 +1,1 @@
-"""Raw rows into tables, figures and metrics.json. Imports neither torch nor pybullet."""
+"""Raw rows into tables, figures and metrics.json. Needs neither a model nor the simulator."""

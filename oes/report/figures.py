@@ -8,9 +8,10 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from oes.report.forecast import Interval, Line
-from oes.report.names import COLOURS, METRICS, MODELS, in_order
+from oes.report.forecast import LAST, Interval, Line
+from oes.report.names import COLOURS, METRICS, MODELS, SETTINGS, in_order
 from oes.report.paper import HORIZONS
+from oes.report.study import VARIED, Forecasts
 
 STYLE: dict[Any, Any] = {
     "svg.hashsalt": "oes",
@@ -25,8 +26,28 @@ STYLE: dict[Any, Any] = {
 PLAIN = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
 
 
+def write_figures(found: Forecasts, displacement_mm: Mapping[int, Sequence[float]], folder: Path) -> dict[str, str]:
+    """A study's figures as PNG and SVG; gives caption by the PNG's path relative to ``folder``'s parent."""
+    folder.mkdir(parents=True, exist_ok=True)
+    study = found.study
+    suffix, task = study.suffix, study.task.capitalize()
+    varied = [line for line in found.main if line.group == VARIED]
+    over_time(varied, f"{SETTINGS[VARIED]}, {study.scenes}", folder / f"error-over-time{suffix}")
+    by_group(found.by_objects, "objects in the scene", LAST, folder / f"by-objects{suffix}")
+    displacement(displacement_mm, folder / f"displacement{suffix}")
+    captions = {
+        "error-over-time": f"{task}: error over time, mean and 95% interval.",
+        "by-objects": f"{task}: error by number of objects, T = {LAST}.",
+        "displacement": f"{task}: how far the objects of the training episodes move.",
+    }
+    if found.by_views:
+        by_group(found.by_views, "input views", LAST, folder / f"by-views{suffix}")
+        captions["by-views"] = f"{task}: error by number of input views, T = {LAST}."
+    return {f"{folder.name}/{name}{suffix}.png": caption for name, caption in captions.items()}
+
+
 def over_time(rows: Sequence[Line], title: str, path: Path) -> None:
-    """Error against T with 95% bands, a panel each for translation and rotation, a line a model."""
+    """Error against T with 95% bands, a panel a metric, a line a model."""
     figure, panels = _panels(title)
     for metric, panel in panels.items():
         for line in _chosen(rows, metric):
@@ -71,7 +92,7 @@ def _chosen(rows: Sequence[Line], metric: str) -> list[Line]:
 
 def _panels(title: str) -> tuple[Figure, dict[str, Axes]]:
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8, 3.2), layout="constrained")
+        figure = Figure(figsize=(4 * len(METRICS), 3.2), layout="constrained")
         axes = figure.subplots(1, len(METRICS))
     figure.suptitle(title, fontsize=10)
     panels = dict(zip(METRICS, axes, strict=True))

@@ -1,4 +1,4 @@
-"""Errors of forecasting, averaged: Table 1, by number of objects, by number of views, and the ratio that matters."""
+"""Errors of forecasting, averaged: every table of them, and the ratio that matters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +15,16 @@ from oes.report.table import Table
 Interval = tuple[float, float, float]
 Printed = Mapping[str, Mapping[str, tuple[float, float, float]]]
 
+DIVERGED_MM = 300.0
+LAST = HORIZONS[-1]
+NOTE = (
+    "Means with 95% intervals, bootstrapped over episodes. "
+    f"Diverged: objects forecast over {DIVERGED_MM / 1000} m off at T = {LAST}. "
+    "Rotation is ambiguous for symmetric objects: a turned cylinder looks the same, but its turn counts. "
+    "Surface distance is the error that is right for them: the mean distance from the object's surface as forecast to "
+    "the nearest true surface, an error of translation and rotation together."
+)
+
 
 @dataclass(frozen=True)
 class Group:
@@ -30,8 +40,9 @@ class Group:
 class Line:
     """One model in one group under one metric, over all objects or the moved ones.
 
-    ``at`` maps T to mean and 95% interval (bootstrap over episodes); ``n`` counts objects, ``seen`` is the share of
-    them that was detected.
+    ``at`` maps T to mean and 95% interval (bootstrap over episodes), ``median`` to the median; ``n`` counts objects,
+    ``seen`` and ``diverged`` are the shares of them that were detected, and forecast over 0.3 m off at the last T
+    (the same under every metric).
     """
 
     group: str
@@ -40,9 +51,11 @@ class Line:
     metric: str
     objects: str
     at: Mapping[int, Interval]
+    median: Mapping[int, float]
     n: int
     episodes: int
     seen: float
+    diverged: float
     printed: tuple[float, ...] | None
 
 
@@ -62,22 +75,23 @@ def lines(groups: Sequence[Group], seed: int) -> list[Line]:
 
 def forecast_table(name: str, caption: str, grouped_by: str, found: Sequence[Line], notes: Sequence[str]) -> Table:
     """Lines as a table: all objects and moved objects side by side, a name only where it changes."""
-    times = [f"T={T}" for T in HORIZONS]
-    header = (grouped_by, "model", "error", *times, "n", "paper", *(f"moved: {time}" for time in times), "n moved")
+    columns = (*(f"T={T}" for T in HORIZONS), f"median, T={LAST}", "diverged")
+    header = (grouped_by, "model", "error", *columns, "n", "paper", *(f"moved: {each}" for each in columns), "n moved")
     shown = [line for line in found if line.objects == "all"]
     moved = {(line.group, line.model, line.metric): line for line in found if line.objects == "moved"}
     cells = []
     for above, line in zip([None, *shown], shown, strict=False):
         label = line.label if above is None or above.group != line.group else ""
         model = MODELS.get(line.model, line.model) if label or above is None or above.model != line.model else ""
-        cells.append((label, model, *_cells(line, moved.get((line.group, line.model, line.metric)))))
+        both = _side(line, bool(model)), _side(moved.get((line.group, line.model, line.metric)), bool(model))
+        cells.append((label, model, METRICS[line.metric], *both[0], _printed(line), *both[1]))
     return Table(
         name=name,
         caption=caption,
         header=header,
         cells=tuple(cells),
         records=tuple(record for line in found for record in _records(line, grouped_by.replace(" ", "_"))),
-        notes=tuple(notes),
+        notes=(NOTE, *notes),
     )
 
 
@@ -93,11 +107,12 @@ def ratio(rows: Columns, model: str, against: str, metric: str, T: int, seed: in
 
 
 def _line(group: Group, model: str, metric: str, objects: str, rows: Columns, seed: int) -> Line:
-    at = {}
+    at, median = {}, {}
     for T in HORIZONS:
         here = select(rows, T=T)
         if len(here["T"]):
             at[T] = bootstrap_mean(here[metric], _episodes(here), seed)
+            median[T] = float(np.median(here[metric]))
     last = select(rows, T=max(at))
     printed = group.printed.get(model, {}).get(metric) if objects == "all" else None
     return Line(
@@ -107,9 +122,11 @@ def _line(group: Group, model: str, metric: str, objects: str, rows: Columns, se
         metric=metric,
         objects=objects,
         at=at,
+        median=median,
         n=len(last["T"]),
         episodes=len(np.unique(_episodes(last))),
         seen=float(last["detected"].mean()),
+        diverged=float((last["translation_mm"] > DIVERGED_MM).mean()),
         printed=printed,
     )
 
@@ -125,12 +142,20 @@ def _by_object(rows: Columns, metric: str) -> dict[tuple[str, int, int], float]:
     return dict(zip(keys, rows[metric].tolist(), strict=True))
 
 
-def _cells(line: Line, moved: Line | None) -> tuple[str, ...]:
-    """What stands right of the names; the columns of moved objects stay empty when none moved."""
-    paper = " / ".join(f"{value:.1f}" for value in line.printed) if line.printed else ""
-    counts = (str(line.n), str(moved.n) if moved else "")
-    ours, theirs = ([_interval(x.at[T]) if x and T in x.at else "" for T in HORIZONS] for x in (line, moved))
-    return (METRICS[line.metric], *ours, counts[0], paper, *theirs, counts[1])
+def _side(line: Line | None, is_first: bool) -> tuple[str, ...]:
+    """The columns of all objects or of moved ones, the count last; empty when there are none.
+
+    What is the same under every metric stands only in the model's first row.
+    """
+    if line is None:
+        return ("",) * (len(HORIZONS) + 3)
+    means = (_interval(line.at[T]) if T in line.at else "" for T in HORIZONS)
+    median = f"{line.median[LAST]:.1f}" if LAST in line.median else ""
+    return (*means, median, f"{100 * line.diverged:.1f}%" if is_first else "", str(line.n))
+
+
+def _printed(line: Line) -> str:
+    return " / ".join(f"{value:.1f}" for value in line.printed) if line.printed else ""
 
 
 def _interval(values: Interval) -> str:
@@ -149,9 +174,11 @@ def _records(line: Line, grouped_by: str) -> list[dict[str, object]]:
             "mean": round(mean, 4),
             "low": round(low, 4),
             "high": round(high, 4),
+            "median": round(line.median[T], 4),
             "n": line.n,
             "episodes": line.episodes,
             "detected_share": round(line.seen, 4),
+            "diverged": round(line.diverged, 4),
             "paper": printed.get(T, ""),
         }
         for T, (mean, low, high) in line.at.items()

@@ -7,13 +7,26 @@ from pathlib import Path
 from typing import Any
 
 from oes.report.forecast import Interval, Line
+from oes.report.names import BASELINE, OURS
+from oes.report.study import Forecasts
 from oes.report.trials import Outcome
 
 Tree = dict[str, Any]
 
 
+def study_tree(found: Forecasts) -> Tree:
+    """The main table under the task's name, the errors by numbers of objects and of views, and the ratio."""
+    study = found.study
+    return {
+        study.task: forecast_tree(found.main),
+        study.key("ratio"): {f"{OURS}/{BASELINE}": ratio_tree(found.ratios)},
+        study.by_objects: forecast_tree(found.by_objects),
+        **({study.key("by_views"): forecast_tree(found.by_views)} if found.by_views else {}),
+    }
+
+
 def forecast_tree(rows: Sequence[Line]) -> Tree:
-    """group -> model -> means of all objects by metric and T; beside them intervals, and the same of moved objects."""
+    """group -> model -> means of all objects by metric and T; beside them all else, and the same of moved objects."""
     tree: Tree = {}
     for line in rows:
         model = tree.setdefault(line.group, {}).setdefault(line.model, {})
@@ -23,6 +36,8 @@ def forecast_tree(rows: Sequence[Line]) -> Tree:
         place.setdefault("interval_95", {})[line.metric] = {
             str(T): [low, high] for T, (_, low, high) in line.at.items()
         }
+        place.setdefault("median", {})[line.metric] = {str(T): median for T, median in line.median.items()}
+        place["diverged"] = line.diverged
         if line.objects == "all":
             place["detected_share"] = line.seen
     return tree

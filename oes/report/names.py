@@ -11,6 +11,8 @@ MODELS = {
     "simulator": "simulator",
 }
 
+OURS, BASELINE = "oes", "graph_xyz"
+
 SETTINGS = {
     "3views_gt": "3 views, true boxes",
     "1view_gt": "1 view, true boxes",
@@ -18,7 +20,11 @@ SETTINGS = {
     "fixed_pred": "1 fixed view, predicted boxes",
 }
 
-METRICS = {"translation_mm": "translation (mm)", "rotation_deg": "rotation (deg)"}
+METRICS = {
+    "translation_mm": "translation (mm)",
+    "rotation_deg": "rotation (deg)",
+    "surface_mm": "surface distance (mm)",
+}
 
 # Okabe and Ito's palette: told apart by colour-blind eyes.
 COLOURS = {

@@ -1,12 +1,13 @@
 """How well perception sees, from its raw rows: detection of novel objects and prediction of unseen views."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from oes.measure import Boxes, average_precision
-from oes.report.rows import Columns, optional_float
+from oes.report.rows import Columns, optional_float, read_columns, select
 from oes.report.table import Table
 
 BOX = ("x_m", "y_m", "z_m", "width_m", "depth_m", "height_m")
@@ -26,12 +27,18 @@ def views_key(num_views: int) -> str:
     return f"{num_views}view" + "s" * (num_views > 1)
 
 
+def read_detections(paths: Sequence[Path]) -> Columns:
+    """The detections of several splits as if of one: the episodes of each are numbered on from the one before."""
+    parts = [read_columns([path], DETECTIONS) for path in paths]
+    starts = np.cumsum([0, *(part["episode"].max(initial=-1) + 1 for part in parts)])
+    episodes = [part["episode"] + start for part, start in zip(parts, starts, strict=False)]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in DETECTIONS}
+    return columns | {"episode": np.concatenate(episodes)}
+
+
 def detector_figures(rows: Columns) -> dict[str, dict[str, float]]:
     """For each number of input views: AP at IoU 0.25 and 0.5; mask IoU and centre error (mm) of matched detections."""
-    return {
-        views_key(int(count)): _figures({name: values[rows["num_views"] == count] for name, values in rows.items()})
-        for count in np.unique(rows["num_views"])
-    }
+    return {views_key(int(count)): _figures(select(rows, num_views=count)) for count in np.unique(rows["num_views"])}
 
 
 def view_figures(rows: Columns) -> dict[str, dict[str, float]]:
@@ -44,7 +51,9 @@ def view_figures(rows: Columns) -> dict[str, dict[str, float]]:
     return figures
 
 
-def detector_table(figures: Mapping[str, Mapping[str, float]], notes: tuple[str, ...]) -> Table:
+def detector_table(
+    name: str, caption: str, figures: Mapping[str, Mapping[str, float]], notes: tuple[str, ...]
+) -> Table:
     """One row for each number of input views."""
     header = (
         "input",
@@ -56,8 +65,8 @@ def detector_table(figures: Mapping[str, Mapping[str, float]], notes: tuple[str,
         "found boxes",
     )
     return Table(
-        name="detector",
-        caption="Detection of novel objects in 3D",
+        name=name,
+        caption=caption,
         header=header,
         cells=tuple(
             (

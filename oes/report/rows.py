@@ -12,6 +12,7 @@ Columns = dict[str, NDArray[Any]]
 Kind = Callable[[Any], Any]  # a type, or a function that reads a cell
 
 ERRORS: dict[str, Kind] = {
+    "task": str,
     "model": str,
     "setting": str,
     "split": str,
@@ -22,6 +23,7 @@ ERRORS: dict[str, Kind] = {
     "T": int,
     "translation_mm": float,
     "rotation_deg": float,
+    "surface_mm": float,
     "moved": bool,
     "detected": bool,
 }
@@ -77,7 +79,12 @@ def select(columns: Columns, **equal: object) -> Columns:
     keep = np.ones(len(next(iter(columns.values()))), dtype=bool)
     for name, value in equal.items():
         keep &= columns[name] == value
-    return {name: values[keep] for name, values in columns.items()}
+    return kept(columns, keep)
+
+
+def kept(columns: Columns, is_kept: NDArray[np.bool_]) -> Columns:
+    """The rows for which a mask holds."""
+    return {name: values[is_kept] for name, values in columns.items()}
 
 
 def optional_float(text: str) -> float:

@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oes.measure import mcnemar_exact, signed_rank, wilson
-from oes.report.names import MODELS, in_order
+from oes.report.names import MODELS, OURS, in_order
 from oes.report.paper import CONTROL
 from oes.report.rows import Columns, select
 from oes.report.table import Table
 
-OURS = "oes"
 NOTE = (
     "A trial succeeds when the mean distance of its objects to their goals is within the tolerance at the end (the "
     "paper's rule); 'success of every object' asks it of each. Each push is the best of random ones (random shooting, "

@@ -60,7 +60,7 @@ class RodArm:
 
     def __init__(self, bullet: Bullet, body: int, cfg: Arm, robot: Robot) -> None:
         """``body`` is the loaded URDF of ``robot.write_urdf``."""
-        self._bullet, self._body, self._cfg, self._robot = bullet, body, cfg, robot
+        self._bullet, self.body, self._cfg, self._robot = bullet, body, cfg, robot
         self._links = list(range(NUM_JOINTS + 1))
         self.goal_world_3 = np.full(3, np.nan)
 
@@ -68,7 +68,7 @@ class RodArm:
         """Put the rod's tip there at once, at rest. Raises ReachError."""
         joints = joints_for(tip_world_3[None], self._robot)[0]
         for joint_i, angle in enumerate(joints):
-            self._bullet.resetJointState(self._body, joint_i, angle, 0.0)
+            self._bullet.resetJointState(self.body, joint_i, angle, 0.0)
         self.goal_world_3 = tip_world_3
         self.drive(joints, np.zeros(NUM_JOINTS))
 
@@ -84,7 +84,7 @@ class RodArm:
     def drive(self, joints_7: Floats, speed_7: Floats) -> None:
         """Command for the next physics step: correct towards ``joints_7`` while moving at ``speed_7`` (rad/s)."""
         self._bullet.setJointMotorControlArray(
-            self._body,
+            self.body,
             self._links[:NUM_JOINTS],
             self._bullet.POSITION_CONTROL,
             targetPositions=joints_7.tolist(),
@@ -96,16 +96,16 @@ class RodArm:
 
     def tip(self) -> Floats:
         """The rod's tip, world."""
-        return np.array(self._bullet.getLinkState(self._body, NUM_JOINTS, computeForwardKinematics=True)[4])
+        return np.array(self._bullet.getLinkState(self.body, NUM_JOINTS, computeForwardKinematics=True)[4])
 
     def joints(self) -> Floats:
         """The seven joint angles, radians."""
-        states = self._bullet.getJointStates(self._body, self._links[:NUM_JOINTS])
+        states = self._bullet.getJointStates(self.body, self._links[:NUM_JOINTS])
         return np.array([state[0] for state in states])
 
     def world_T_link(self) -> Floats:
         """Frames L44 of the base, the seven links and the rod (the frames that their triangles live in)."""
-        states = self._bullet.getLinkStates(self._body, self._links, computeForwardKinematics=True)
+        states = self._bullet.getLinkStates(self.body, self._links, computeForwardKinematics=True)
         rotation = from_quat_xyzw(np.array([state[5] for state in states]))
         links = rigid(rotation, np.array([state[4] for state in states]))
         base = rigid(np.eye(3), np.array(self._robot.base_m))

@@ -43,6 +43,10 @@ def _pose(cfg: Rig, elevation_deg: float, azimuth_deg: float, rng: np.random.Gen
     elevation, azimuth = np.radians(np.array([elevation_deg, azimuth_deg]) + rng.uniform(-1, 1, 2) * cfg.jitter_deg)
     distance = cfg.distance_m + rng.uniform(-1, 1) * cfg.jitter_m
     target = np.array(cfg.target_m) + rng.uniform(-1, 1, 3) * cfg.jitter_m
-    level = np.cos(elevation)
-    direction = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
-    return look_at(target + distance * direction, target)
+    return look_at(target + distance * direction(elevation, azimuth), target)
+
+
+def direction(elevation_rad: float, azimuth_rad: float) -> Floats:
+    """Unit vector towards a point of the sphere on which the cameras stand."""
+    level = np.cos(elevation_rad)
+    return np.array([level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), np.sin(elevation_rad)])

@@ -53,11 +53,7 @@ class Pushes:
     length_m: tuple[float, float]
     pull: float
     noise_deg: float
-    settle_ms: int
-    settle_tilt_deg: float
-    settle_shift_m: float
     topple_deg: float
-    max_attempts: int
 
 
 class Rejected(Exception):
@@ -115,7 +111,7 @@ def scatter(meshes: Sequence["Mesh"], bodies: Sequence[Body], cfg: Scatter, rng:
                 break
         else:
             raise Rejected("no room for an object")
-    return np.array(poses)
+    return np.array(poses).reshape(-1, 4, 4)
 
 
 def is_free(outline: shapely.Geometry, others: Sequence[shapely.Geometry], cfg: Scatter) -> bool:

@@ -83,7 +83,8 @@ class World:
         self.bodies = tuple(bodies)
         self._empty()
         self._ids = [self._table()]
-        self._ids.append(-1 if tip_world_3 is None else self._load_arm(tip_world_3))
+        self._arm = None if tip_world_3 is None else self._load_arm(tip_world_3)
+        self._ids.append(-1 if self._arm is None else self._arm.body)
         self._obj_T_com = []
         for body, world_T_obj in zip(bodies, world_T_obj_N44, strict=True):
             mesh = self.catalogue.meshes[body.mesh]
@@ -94,6 +95,12 @@ class World:
         self._is_fresh = True
         self._thing_of = {body_id: thing_i for thing_i, body_id in enumerate(self._ids)}
         self.clear_contacts()
+
+    @property
+    def arm(self) -> RodArm:
+        """The arm of a world that was reset with one."""
+        assert self._arm is not None, "this world has no arm"
+        return self._arm
 
     def run(self, duration_ms: int) -> None:
         """Let time pass; the arm, if there is one, holds still."""
@@ -147,8 +154,8 @@ class World:
             center_N3=np.array([center for center, _ in boxes]).reshape(-1, 3),
             size_N3=np.array([size for _, size in boxes]).reshape(-1, 3),
             tip_world_3=self._tip(),
-            joints_rad_J=self.arm.joints(),
-            world_T_link_L44=self.arm.world_T_link(),
+            joints_rad_J=np.zeros(0) if self._arm is None else self._arm.joints(),
+            world_T_link_L44=np.zeros((0, 4, 4)) if self._arm is None else self._arm.world_T_link(),
             touched_MM=self.touched(),
             cameras=cameras,
         )
@@ -158,7 +165,9 @@ class World:
         return self._touched.copy()
 
     def _tip(self) -> Floats:
-        return self._placed[1] if self._is_fresh and self._placed[1] is not None else self.arm.tip()
+        if self._arm is None:
+            return np.full(3, np.nan)
+        return self._placed[1] if self._is_fresh and self._placed[1] is not None else self._arm.tip()
 
     def _advance(self) -> None:
         self._is_fresh = False
@@ -185,10 +194,10 @@ class World:
         self._bullet.changeDynamics(table, -1, lateralFriction=self.cfg.physics.table_friction, restitution=0.0)
         return int(table)
 
-    def _load_arm(self, tip_world_3: Floats) -> int:
+    def _load_arm(self, tip_world_3: Floats) -> RodArm:
         body = self._bullet.loadURDF(str(self._urdf), basePosition=self.cfg.robot.base_m, useFixedBase=True)
         for link_i in range(-1, self._bullet.getNumJoints(body)):
             self._bullet.changeDynamics(body, link_i, lateralFriction=self.cfg.physics.rod_friction, restitution=0.0)
-        self.arm = RodArm(self._bullet, body, self.cfg.arm, self.cfg.robot)
-        self.arm.reset_to(tip_world_3)
-        return int(body)
+        arm = RodArm(self._bullet, body, self.cfg.arm, self.cfg.robot)
+        arm.reset_to(tip_world_3)
+        return arm

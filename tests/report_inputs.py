@@ -1,0 +1,121 @@
+"""A small, complete set of what the stages leave for the report, made up."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from safetensors.numpy import save_file
+
+from oes.report.build import Inputs
+from oes.report.names import MODELS, SETTINGS
+from oes.report.perception import BOX, DETECTIONS
+from oes.report.rows import ERRORS, TRIALS
+from oes.rows import write_csv
+
+MORE_VIEWS = ("2views_pred", "3views_pred", "5views_pred")
+SCENES = {  # number of objects, split and setting
+    "pushing": [
+        *((2, "test2", setting) for setting in (*SETTINGS, *MORE_VIEWS)),
+        *((n, f"test{n}", "1view_pred") for n in (1, 3, 4, 5)),
+    ],
+    "falling": [
+        *((n, f"test{n}", setting) for n in (3, 4) for setting in ("1view_gt", "1view_pred")),
+        *((n, f"test{n}", "1view_pred") for n in (1, 2, 5)),
+    ],
+}
+TILE_PX = 25
+
+
+def make_inputs(root: Path) -> Inputs:
+    """The datasets of all stages under ``root``, of both tasks."""
+    names = ("meshes", "episodes", "perception", "objects", "dynamics", "rollouts", "trials")
+    found = Inputs(**{name: root / name for name in names})
+    for task in SCENES:
+        write_errors(found.rollouts, task)
+        write_card(found.episodes / f"{task}-train", task)
+        for model in ("oes", "graph_xyz"):
+            write_strips(found.rollouts / f"{task}-{model}" / "scenes", num_scenes=2)
+    for name in ("pushing-test2", "falling-test3", "falling-test4"):
+        write_perception(found.objects / name)
+    write_trials(found.trials)
+    for folder in (found.meshes, found.perception, found.dynamics / "pushing-oes"):
+        folder.mkdir(parents=True)
+    (found.meshes / "contact_sheet.png").write_bytes(b"picture")
+    about = {"format": "f", "config": "{}", "a": "1", "z": "2"}
+    weights = {"w": np.linspace(-1, 1, 9, dtype=np.float32), "n": np.array([3], np.int64)}
+    save_file(weights, found.perception / "perception.safetensors", about)
+    save_file(weights, found.dynamics / "pushing-oes" / "model.safetensors", about)
+    return found
+
+
+def write_errors(folder: Path, task: str) -> None:
+    """Errors that grow with the model's place in the order, the number of objects, and fall with views."""
+    rng = np.random.default_rng(0)
+    for size, model in enumerate(MODELS, start=1):
+        rows = []
+        for num_objects, split, setting in SCENES[task]:
+            num_views = int(setting[0]) if setting[0].isdigit() else 1
+            for episode_i, object_i, T in np.ndindex(4, num_objects, 5):
+                error = size * (T + 1) * num_objects / num_views * rng.uniform(0.9, 1.1)
+                place = (task, model, setting, split, episode_i, object_i, num_objects, num_views, T + 1)
+                values = (*place, error, error / 2, error / 4, 1, 1)
+                rows.append(dict(zip(ERRORS, values, strict=True)))
+        (folder / f"{task}-{model}").mkdir(parents=True)
+        write_csv(folder / f"{task}-{model}" / "errors.csv", rows, list(ERRORS))
+
+
+def write_card(folder: Path, task: str) -> None:
+    folder.mkdir(parents=True)
+    cause = {"pushing": {"rod_rms_mm": {"mean": 1.5}}, "falling": {"impact": {"1": 0.25, "5": 1.0}}}
+    card = {
+        "episodes": 12,
+        "displacement_mm": {str(T): {"mean": 10.0 * T} for T in (1, 3, 5)},
+        "displacements_mm": {str(T): [5.0 * T, 15.0 * T] for T in (1, 3, 5)},
+        "share_object_contact": 0.4,
+        "share_moved": 0.9,
+    }
+    (folder / "card.json").write_text(json.dumps(card | cause[task]))
+
+
+def write_strips(folder: Path, num_scenes: int) -> None:
+    """Pictures of scenes over T = 0 to 5: every tile of one brightness, the forecast's brighter than the truth's."""
+    folder.mkdir(parents=True)
+    for scene_i in range(num_scenes):
+        levels = 40 + 20 * np.arange(6) + np.array([[0], [100]])
+        picture = levels.repeat(TILE_PX, axis=0).repeat(TILE_PX, axis=1)[..., None].repeat(3, axis=2)
+        Image.fromarray(picture.astype(np.uint8)).save(folder / f"test2-{scene_i:06d}.png")
+
+
+def write_perception(folder: Path) -> None:
+    """Two true objects in each of two states: one found exactly, one missed; one false box with a low score."""
+    folder.mkdir(parents=True)
+    rows = []
+    for num_views in (1, 3):
+        for episode in (0, 1):
+            base = {"episode": episode, "step": 0, "num_views": num_views}
+            box = dict(zip(BOX, (0.1, 0, 0.02, 0.05, 0.05, 0.04), strict=True))
+            true = {f"true_{name}": value for name, value in box.items()}
+            rows.append(base | box | true | {"score": 0.9, "iou": 1.0, "centre_mm": 0.0, "mask_iou": 0.8})
+            rows.append(base | true | {"true_x_m": -0.1})
+            rows.append(base | box | {"x_m": 0.25, "score": 0.3})
+    write_csv(folder / "detections.csv", rows, [*DETECTIONS, "iou"])
+    views = [
+        {"episode": 0, "step": 0, "num_views": n, "camera": 3, "psnr_db": 20 + n + i, "ssim": 0.8}
+        for n in (1, 3)
+        for i in (0, 1)
+    ]
+    write_csv(folder / "views.csv", views, list(views[0]))
+
+
+def write_trials(folder: Path) -> None:
+    for model, wins in (("oes", 5), ("graph_xyz", 3), ("graph_xyz_image", 2)):
+        (folder / f"targets-{model}").mkdir(parents=True)
+        rows = []
+        for i in range(6):
+            video = f"trial_{i:03d}.mp4" if i in (0, 5) else ""
+            values = ("targets", model, i, 1, i < wins, i < wins, 150.0, 20.0 if i < wins else 90.0, 21.0, 6, "", video)
+            rows.append(dict(zip(TRIALS, values, strict=True)))
+            for suffix in (".mp4", ".gif") if video else ():
+                (folder / f"targets-{model}" / f"trial_{i:03d}{suffix}").write_bytes(b"film")
+        write_csv(folder / f"targets-{model}" / "trials.csv", rows, list(TRIALS))
