@@ -1,12 +1,9 @@
 """Height maps of shapes whose heights are known."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Tensor
 
-from oes.dynamics.graph import ObjectState
 from oes.dynamics.relief import ReliefSight
 from oes.dynamics.slabs import Crop
 from oes.dynamics.unroll import at_rest
@@ -29,16 +26,11 @@ def box(half_x: int, half_y: int, half_z: int) -> Tensor:
     return mask
 
 
-def state(*centers: tuple[float, float, float], turned: Tensor | None = None) -> ObjectState:
-    found = at_rest(torch.tensor([centers]), torch.ones(1, len(centers), dtype=torch.bool))
-    return found if turned is None else replace(found, turned_BN33=turned.expand(1, len(centers), 3, 3))
-
-
 @pytest.mark.parametrize(("turned", "half_y", "half_z"), [(torch.eye(3), 2, 4), (QUARTER, 4, 2)])
 def test_a_box_has_its_underside_and_top_at_half_its_height_however_it_is_turned(
     turned: Tensor, half_y: int, half_z: int
 ) -> None:
-    covered, under, top = (x[0, 0] for x in sight().maps(box(3, 2, 4)[None, None], turned[None, None]))
+    covered, under, top = (x[0] for x in sight().maps(box(3, 2, 4)[None], turned[None]))
     expected = torch.zeros(16, 16)
     expected[5:11, 8 - half_y : 8 + half_y] = 1
     torch.testing.assert_close(covered, expected, atol=1e-4, rtol=0)
@@ -47,21 +39,41 @@ def test_a_box_has_its_underside_and_top_at_half_its_height_however_it_is_turned
     torch.testing.assert_close(top, middle * expected, atol=1e-5, rtol=0)
 
 
-def test_the_gap_between_two_blocks_is_seen_where_they_overlap_from_above() -> None:
-    """A small block 5 cm above a wide one's top: seen by the small one as the gap below, by the wide one as above."""
-    masks = torch.stack([box(2, 2, 2), box(4, 4, 2)])[None]
-    reader = sight()
-    here = state((0.0, 0.0, 0.11), (0.0, 0.0, 0.02))
-    pair = reader._pairs(reader.maps(masks, here.turned_BN33), here.center_BN3)[0]
-    small_receives, wide_receives = pair * 0.05
-    gap = small_receives[6, 7, 7]  # channel 6: the receiver's underside over the sender's top
-    assert float(gap) == pytest.approx(0.06, abs=1e-4)  # 5 cm between faces, 6 between the middles of voxels
-    assert float(wide_receives[7, 7, 7]) == pytest.approx(0.06, abs=1e-4)
-    assert float(small_receives[6, 4, 4]) == 0  # the wide one alone
+def test_two_blocks_know_the_gap_between_them_and_where_it_is() -> None:
+    """A small block 5 cm above a wide one's top, aside: the gap is below the one and above the other."""
+    reader, ends = sight(), (torch.tensor([0, 1]), torch.tensor([1, 0]))
+    center = torch.tensor([[0.03, 0.0, 0.11], [0.0, 0.0, 0.02]])
+    maps = reader.maps(torch.stack([box(2, 2, 2), box(4, 4, 2)]), torch.eye(3).expand(2, 3, 3))
+    windows = reader.pair_windows(maps, center, ends)
+    assert float(windows[0, 6, 9, 8]) * 0.05 == pytest.approx(0.06, abs=1e-4)  # 5 cm between faces, 6 between voxels
+    assert float(windows[0, 6, 3, 8]) == 0  # the wide one alone
+    small, wide = reader.closest(windows, center, ends) * torch.tensor([1, 0.05, 0.05, 0.05]).repeat(4)
+    below_small, above_small = small[:8], small[8:]
+    assert below_small[:2].tolist() == pytest.approx([1, 0.06], abs=1e-4)
+    assert above_small[1] < -0.1, "the wide one is below, not above"
+    torch.testing.assert_close(wide[8:], torch.cat([below_small[4:], below_small[:4]]), atol=1e-6, rtol=0)
+    from_small, from_wide = below_small[2:4], below_small[6:8]
+    torch.testing.assert_close(from_wide - from_small, center[0, :2] - center[1, :2], atol=1e-6, rtol=0)
+    assert -0.02 < float(from_small[0]) < 0.005, "they overlap where x of the small one is in [-2, 1] cm"
 
 
 def test_the_underside_is_told_from_the_table() -> None:
     reader = sight()
-    here = state((0.1, -0.1, 0.07))
-    own = reader._own(reader.maps(box(2, 2, 3)[None, None], here.turned_BN33), here.center_BN3)[0, 0]
-    assert float(own[1, 7, 7]) * 0.05 == pytest.approx(0.07 - 0.025, abs=1e-5)
+    mask = box(2, 2, 3)
+    mask[:8, :, :6] = 0  # its lowest part is at +x
+    center = torch.tensor([[0.1, -0.1, 0.07]])
+    own = reader.own_windows(reader.maps(mask[None], torch.eye(3)[None]), center)
+    assert float(own[0, 1, 8, 8]) * 0.05 == pytest.approx(0.07 - 0.025, abs=1e-5)
+    is_there, height, x, y = reader.lowest(own)[0].tolist()
+    assert (is_there, height * 0.05) == (1, pytest.approx(0.045, abs=1e-3))
+    assert x * 0.05 == pytest.approx(0.01, abs=1e-3) and y == pytest.approx(0, abs=1e-4)
+
+
+@torch.no_grad()
+def test_a_lone_object_has_no_pair_and_an_absent_one_is_not_read() -> None:
+    reader, mask = sight(), torch.stack([box(2, 2, 3), box(3, 2, 2)])[None]
+    center = torch.tensor([[[0.0, 0.0, 0.1], [0.05, 0.0, 0.02]]])
+    alone = reader(mask[:, :1], at_rest(center[:, :1], torch.tensor([[True]])), torch.zeros(1, 3))
+    padded = reader(mask, at_rest(center, torch.tensor([[True, False]])), torch.zeros(1, 3))
+    torch.testing.assert_close(padded.own_BNC[:, 0], alone.own_BNC[:, 0])
+    assert not padded.own_BNC[:, 1].any() and not padded.pair_BNNC.any() and not alone.pair_BNNC.any()

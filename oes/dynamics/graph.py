@@ -128,7 +128,7 @@ class GraphNet(nn.Module):
         pushed_BNC = self.from_agent(torch.cat([node_BNC, reach_BN6, sight.path_BNC], -1))
         apart_BNN3 = (state.center_BN3[:, None] - state.center_BN3[:, :, None]) @ axes_B33[:, None] / self.unit_m
         edge_BNNC = torch.cat([apart_BNN3, sight.pair_BNNC], -1)
-        others_BNN1 = _others(state.valid_BN)[..., None]
+        others_BNN1 = pairs_of(state.valid_BN)[..., None]
         hidden_BNC = node_BNC
         for edge, update in zip(self.edges, self.nodes, strict=True):
             messages_BNNC = edge(_receiver_sender(hidden_BNC, edge_BNNC)) * others_BNN1
@@ -167,9 +167,10 @@ def halving(inputs: int, channels: Sequence[int], kernel_px: int) -> nn.Sequenti
     return nn.Sequential(*modules, nn.Flatten())
 
 
-def _others(valid_BN: Tensor) -> Tensor:
-    """Which (receiver, sender) pairs exist, BNN: valid senders, none to itself."""
-    return valid_BN[:, None] & ~torch.eye(valid_BN.shape[1], dtype=torch.bool, device=valid_BN.device)
+def pairs_of(valid_BN: Tensor) -> Tensor:
+    """Which (receiver, sender) pairs exist, BNN: of valid objects, none with itself."""
+    others_NN = ~torch.eye(valid_BN.shape[1], dtype=torch.bool, device=valid_BN.device)
+    return valid_BN[:, None] & valid_BN[:, :, None] & others_NN
 
 
 def _receiver_sender(hidden_BNC: Tensor, geometry_BNNC: Tensor) -> Tensor:

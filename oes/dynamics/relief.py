@@ -12,8 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from oes.dynamics.graph import ObjectState, Sight, action_axes
-from oes.dynamics.slabs import Crop, SlabNet, read_each, window
+from oes.dynamics.graph import ObjectState, Sight, action_axes, pairs_of
+from oes.dynamics.slabs import Crop, SlabNet, window
 
 OWN, PAIR = 4, 8  # channels of the two kinds of window
 SPOT = 4  # numbers about the place where two surfaces are closest
@@ -21,104 +21,98 @@ RELIEF_OWN, RELIEF_PAIR = SPOT, 4 * SPOT  # how much wider than what the convolu
 CLOSE_M = 0.003  # what is farther than the closest place by so much counts for less
 SOLID = 0.5
 
-Maps = tuple[Tensor, Tensor, Tensor]  # BNXY: covered (0 to 1), covered x underside, covered x top (metres from centre)
+Ends = tuple[Tensor, Tensor]
+Maps = tuple[Tensor, Tensor, Tensor]  # PXY: covered (0 to 1), covered x underside, covered x top (metres from centre)
 
 
 class ReliefSight(nn.Module):
     """Readings of one step, in the action's axes; of the tip nothing is read. No gradient runs back through how the
-    objects lie."""
+    objects lie. P counts the objects that exist in all scenes, Q the pairs of them (receiver, sender)."""
 
-    points_P3: Tensor
-    window_P2: Tensor
+    points_V3: Tensor
+    window_W2: Tensor
 
     def __init__(self, cfg: Crop, side: int, voxel_m: float, unit_m: float) -> None:
         """``unit_m`` is the height that counts as 1."""
         super().__init__()
         self.side, self.crop_m, self.unit_m = side, side * voxel_m, unit_m
-        self.pair_width = cfg.width + RELIEF_PAIR
         self.own = SlabNet(OWN, cfg, side)
         self.pair = SlabNet(PAIR, cfg, side)
         line = (torch.arange(side) + 0.5 - side / 2) * voxel_m
-        self.register_buffer("points_P3", torch.cartesian_prod(line, line, line), persistent=False)
-        self.register_buffer("window_P2", window(side, cfg.cell_m, (side / 2, side / 2))[:, :2], persistent=False)
+        self.register_buffer("points_V3", torch.cartesian_prod(line, line, line), persistent=False)
+        self.register_buffer("window_W2", window(side, cfg.cell_m, (side / 2, side / 2))[:, :2], persistent=False)
 
     def forward(self, mask_BNXYZ: Tensor, state: ObjectState, action_B3: Tensor) -> Sight:
         """``mask_BNXYZ``: probabilities at t = 0, centred at the objects, in world axes."""
+        valid_BN, both_BNN = state.valid_BN, pairs_of(state.valid_BN)
         with torch.no_grad():
             axes_B33 = action_axes(action_B3)
-            center_BN3 = state.center_BN3 @ axes_B33
-            maps = self.maps(mask_BNXYZ, axes_B33.mT[:, None] @ state.turned_BN33)
-            own_BN4XY, pair_BE8XY = self._own(maps, center_BN3), self._pairs(maps, center_BN3)
-            spot_BNC, spots_BEC = self._lowest(own_BN4XY), self._closest(pair_BE8XY, center_BN3)
-        own_BNC = torch.cat([read_each(self.own, own_BN4XY), spot_BNC], -1)
-        scenes, num = own_BNC.shape[:2]
-        pair_BNNC = own_BNC.new_zeros(scenes, num, num, self.pair_width)
-        receivers, senders = _ends(center_BN3)
-        pair_BNNC[:, receivers, senders] = torch.cat([read_each(self.pair, pair_BE8XY), spots_BEC], -1)
-        return Sight(own_BNC, own_BNC.new_zeros(scenes, num, self.pair_width), pair_BNNC)
+            center_P3 = (state.center_BN3 @ axes_B33)[valid_BN]
+            maps = self.maps(mask_BNXYZ[valid_BN], (axes_B33.mT[:, None] @ state.turned_BN33)[valid_BN])
+            ends = _ends(valid_BN, both_BNN)
+            own_P4XY, pair_Q8XY = self.own_windows(maps, center_P3), self.pair_windows(maps, center_P3, ends)
+            lowest_PC, closest_QC = self.lowest(own_P4XY), self.closest(pair_Q8XY, center_P3, ends)
+        own_PC = torch.cat([self.own(own_P4XY), lowest_PC], -1)
+        pair_QC = torch.cat([self.pair(pair_Q8XY), closest_QC], -1)
+        own_BNC = own_PC.new_zeros(*valid_BN.shape, own_PC.shape[-1]).index_put((valid_BN,), own_PC)
+        pair_BNNC = pair_QC.new_zeros(*both_BNN.shape, pair_QC.shape[-1]).index_put((both_BNN,), pair_QC)
+        return Sight(own_BNC, torch.zeros_like(pair_BNNC[:, :, 0]), pair_BNNC)
 
-    def maps(self, mask_BNXYZ: Tensor, turned_BN33: Tensor) -> Maps:
-        """Height maps, from each object's centre, of the masks turned by ``turned_BN33``."""
-        scenes, num = mask_BNXYZ.shape[:2]
-        first_BNP3 = self.points_P3 @ turned_BN33
-        grid = (first_BNP3 * (2 / self.crop_m)).flip(-1).reshape(scenes * num, self.side, self.side, self.side, 3)
-        now = F.grid_sample(mask_BNXYZ.flatten(0, 1)[:, None], grid, align_corners=False)[:, 0]
-        height_Z = self.points_P3[: self.side, 2]
-        under, top = _first(now) @ height_Z, _first(now.flip(-1)) @ height_Z.flip(0)
-        covered = 1 - (1 - now).prod(-1)
-        return cast(Maps, tuple(x.reshape(scenes, num, self.side, self.side) for x in (covered, under, top)))
+    def maps(self, mask_PXYZ: Tensor, turned_P33: Tensor) -> Maps:
+        """Height maps, from each object's centre, of the masks turned by ``turned_P33``."""
+        first_PV3 = self.points_V3 @ turned_P33
+        grid = (first_PV3 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, self.side, 3)
+        now_PXYZ = F.grid_sample(mask_PXYZ[:, None], grid, align_corners=False)[:, 0]
+        height_Z = self.points_V3[: self.side, 2]
+        under, top = _first(now_PXYZ) @ height_Z, _first(now_PXYZ.flip(-1)) @ height_Z.flip(0)
+        return 1 - (1 - now_PXYZ).prod(-1), under, top
 
-    def _own(self, maps: Maps, center_BN3: Tensor) -> Tensor:
-        """Windows BN4XY: covered; underside above the table; underside and top from the centre."""
+    def own_windows(self, maps: Maps, center_P3: Tensor) -> Tensor:
+        """P4XY: covered; underside above the table; underside and top from the centre."""
         covered, under, top = maps
-        above_table = under + covered * center_BN3[..., 2, None, None]
-        return torch.stack([covered, *(x / self.unit_m for x in (above_table, under, top))], 2)
+        above_table = under + covered * center_P3[:, 2, None, None]
+        return torch.stack([covered, *(x / self.unit_m for x in (above_table, under, top))], 1)
 
-    def _pairs(self, maps: Maps, center_BN3: Tensor) -> Tensor:
-        """Windows BE8XY midway between receivers and senders: both objects' maps, heights from the receiver's centre;
-        the gap from the receiver's underside down to the sender's top, and the other way round."""
-        ends = _ends(center_BN3)
-        middle_BE2 = (center_BN3[:, ends[0], :2] + center_BN3[:, ends[1], :2]) / 2
-        covered, under, top = zip(*(self._look(maps, center_BN3, end, middle_BE2) for end in ends), strict=True)
-        lift_BE = (center_BN3[:, ends[1], 2] - center_BN3[:, ends[0], 2])[..., None, None]
-        under, top = (under[0], under[1] + covered[1] * lift_BE), (top[0], top[1] + covered[1] * lift_BE)
+    def pair_windows(self, maps: Maps, center_P3: Tensor, ends: Ends) -> Tensor:
+        """Q8XY, midway between receivers and senders: both objects' maps, heights from the receiver's centre; the gap
+        from the receiver's underside down to the sender's top, and the other way round."""
+        middle_Q2 = (center_P3[ends[0], :2] + center_P3[ends[1], :2]) / 2
+        covered, under, top = zip(*(self._look(maps, center_P3, end, middle_Q2) for end in ends), strict=True)
+        lift_Q = (center_P3[ends[1], 2] - center_P3[ends[0], 2])[:, None, None]
+        under, top = (under[0], under[1] + covered[1] * lift_Q), (top[0], top[1] + covered[1] * lift_Q)
         gaps = [under[0] * covered[1] - top[1] * covered[0], under[1] * covered[0] - top[0] * covered[1]]
-        return torch.stack([*covered, *(x / self.unit_m for x in (*under, *top, *gaps))], 2)
+        return torch.stack([*covered, *(x / self.unit_m for x in (*under, *top, *gaps))], 1)
 
-    def _lowest(self, own_BN4XY: Tensor) -> Tensor:
-        """Where an object's underside is closest to the table, BNC."""
-        covered, above_table = own_BN4XY[:, :, 0], own_BN4XY[:, :, 1]
-        return self._spot(
-            above_table / covered.clamp(min=SOLID), covered > SOLID, torch.zeros_like(covered[..., 0, :2])
-        )
+    def lowest(self, own_P4XY: Tensor) -> Tensor:
+        """Where an object's underside is closest to the table, PC, from its centre."""
+        covered, above_table = own_P4XY[:, 0], own_P4XY[:, 1]
+        gap = above_table / covered.clamp(min=SOLID)
+        return self._spot(gap, covered > SOLID, torch.zeros_like(covered[:, 0, :2]))
 
-    def _closest(self, pair_BE8XY: Tensor, center_BN3: Tensor) -> Tensor:
-        """Where the receiver's underside is closest to the sender's top, and the reverse; each from either centre."""
-        ends = _ends(center_BN3)
-        half_BE2 = (center_BN3[:, ends[1], :2] - center_BN3[:, ends[0], :2]) / 2
-        both = pair_BE8XY[:, :, 0] * pair_BE8XY[:, :, 1]
-        gaps = [pair_BE8XY[:, :, channel] / both.clamp(min=SOLID**2) for channel in (PAIR - 2, PAIR - 1)]
-        return torch.cat(
-            [self._spot(gap, both > SOLID**2, from_BE2) for gap in gaps for from_BE2 in (half_BE2, -half_BE2)], -1
-        )
+    def closest(self, pair_Q8XY: Tensor, center_P3: Tensor, ends: Ends) -> Tensor:
+        """Where the receiver's underside is closest to the sender's top, and the reverse, from both centres: QC."""
+        half_Q2 = (center_P3[ends[1], :2] - center_P3[ends[0], :2]) / 2
+        both = pair_Q8XY[:, 0] * pair_Q8XY[:, 1]
+        gaps = [pair_Q8XY[:, channel] / both.clamp(min=SOLID**2) for channel in (PAIR - 2, PAIR - 1)]
+        spots = [self._spot(gap, both > SOLID**2, from_Q2) for gap in gaps for from_Q2 in (half_Q2, -half_Q2)]
+        return torch.cat(spots, -1)
 
-    def _spot(self, gap_BPXY: Tensor, is_there_BPXY: Tensor, offset_BP2: Tensor) -> Tensor:
+    def _spot(self, gap_PXY: Tensor, is_there_PXY: Tensor, offset_P2: Tensor) -> Tensor:
         """Whether two surfaces face each other at all, how far apart (units), and where from a point that lies
-        ``offset_BP2`` before the window's middle (units): BPC."""
-        gap, is_there = gap_BPXY.flatten(2), is_there_BPXY.flatten(2)
+        ``offset_P2`` before the window's middle (units): PC."""
+        gap, is_there = gap_PXY.flatten(1), is_there_PXY.flatten(1)
         near = torch.where(is_there, -gap * (self.unit_m / CLOSE_M), -torch.inf)
         weight = near.softmax(-1).nan_to_num()
-        place = weight @ self.window_P2 / self.unit_m + offset_BP2 / self.unit_m
-        any_BP1 = is_there.any(-1, keepdim=True).float()
-        return torch.cat([any_BP1, (weight * gap).sum(-1, keepdim=True), place * any_BP1], -1)
+        any_P1 = is_there.any(-1, keepdim=True).float()
+        place = (weight @ self.window_W2 + offset_P2) / self.unit_m * any_P1
+        return torch.cat([any_P1, (weight * gap).sum(-1, keepdim=True), place], -1)
 
-    def _look(self, maps: Maps, center_BN3: Tensor, end_E: Tensor, middle_BE2: Tensor) -> Maps:
-        """The maps of objects ``end_E`` in windows around ``middle_BE2``."""
-        away_BEP2 = middle_BE2[:, :, None] + self.window_P2 - center_BN3[:, end_E, None, :2]
-        grid = (away_BEP2 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, 2)
-        images = torch.stack([image[:, end_E] for image in maps], 2).flatten(0, 1)
-        seen = F.grid_sample(images, grid, align_corners=False).reshape(*middle_BE2.shape[:2], 3, self.side, self.side)
-        return cast(Maps, seen.unbind(2))
+    def _look(self, maps: Maps, center_P3: Tensor, end_Q: Tensor, middle_Q2: Tensor) -> Maps:
+        """The maps of objects ``end_Q`` in windows around ``middle_Q2``."""
+        away_QW2 = middle_Q2[:, None] + self.window_W2 - center_P3[end_Q, None, :2]
+        grid = (away_QW2 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, 2)
+        seen = F.grid_sample(torch.stack(maps, 1)[end_Q], grid, align_corners=False)
+        return cast(Maps, seen.unbind(1))
 
 
 def _first(density_PXYZ: Tensor) -> Tensor:
@@ -127,7 +121,8 @@ def _first(density_PXYZ: Tensor) -> Tensor:
     return density_PXYZ * torch.cat([torch.ones_like(clear[..., :1]), clear[..., :-1]], -1)
 
 
-def _ends(center_BN3: Tensor) -> tuple[Tensor, Tensor]:
-    """Receiver and sender of every pair of different objects."""
-    receivers, senders = (~torch.eye(center_BN3.shape[1], dtype=torch.bool, device=center_BN3.device)).nonzero().T
-    return receivers, senders
+def _ends(valid_BN: Tensor, both_BNN: Tensor) -> Ends:
+    """The numbers among all objects, Q each, of every pair's receiver and sender."""
+    number_BN = valid_BN.flatten().cumsum(0).reshape(valid_BN.shape) - 1
+    scene_Q, receiver_Q, sender_Q = both_BNN.nonzero().unbind(1)
+    return number_BN[scene_Q, receiver_Q], number_BN[scene_Q, sender_Q]

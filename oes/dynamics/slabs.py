@@ -82,8 +82,8 @@ class SlabSight(nn.Module):
         here_BP3 = self.here_P3 @ axes_B33.mT
         path_BP3 = tip_world_B3.nan_to_num(nan=NOWHERE_M)[:, None] + self.path_P3 @ axes_B33.mT
         return Sight(
-            own_BNC=read_each(self.own, self._look(shapes, shapes[1][:, :, None] + here_BP3[:, None])),
-            path_BNC=read_each(self.path, self._path(shapes, path_BP3, action_B3)),
+            own_BNC=_each(self.own, self._look(shapes, shapes[1][:, :, None] + here_BP3[:, None])),
+            path_BNC=_each(self.path, self._path(shapes, path_BP3, action_B3)),
             pair_BNNC=self._pairs(shapes, here_BP3),
         )
 
@@ -100,7 +100,7 @@ class SlabSight(nn.Module):
         receivers, senders = (~torch.eye(num, dtype=torch.bool, device=center_BN3.device)).nonzero().unbind(1)
         ends = [(slabs_BNKXY[:, i], center_BN3[:, i], turned_BN[:, i]) for i in (receivers, senders)]
         between_BEP3 = ((ends[0][1] + ends[1][1]) / 2)[:, :, None] + here_BP3[:, None]
-        found_BEC = read_each(self.pair, torch.cat([self._look(end, between_BEP3) for end in ends], 2))
+        found_BEC = _each(self.pair, torch.cat([self._look(end, between_BEP3) for end in ends], 2))
         pair_BNNC = found_BEC.new_zeros(len(found_BEC), num, num, found_BEC.shape[-1])
         pair_BNNC[:, receivers, senders] = found_BEC
         return pair_BNNC
@@ -126,7 +126,7 @@ class SlabSight(nn.Module):
         return near.reshape(-1, PATH, self.side, self.side)
 
 
-def read_each(net: nn.Module, image_BNKXY: Tensor) -> Tensor:
+def _each(net: nn.Module, image_BNKXY: Tensor) -> Tensor:
     """Features BNC of every window image."""
     features: Tensor = net(image_BNKXY.flatten(0, 1))
     return features.reshape(*image_BNKXY.shape[:2], features.shape[-1])
