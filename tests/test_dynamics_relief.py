@@ -47,14 +47,28 @@ def test_two_blocks_know_the_gap_between_them_and_where_it_is() -> None:
     windows = reader.pair_windows(maps, center, ends)
     assert float(windows[0, 6, 9, 8]) * 0.05 == pytest.approx(0.06, abs=1e-4)  # 5 cm between faces, 6 between voxels
     assert float(windows[0, 6, 3, 8]) == 0  # the wide one alone
-    small, wide = reader.closest(windows, center, ends) * torch.tensor([1, 0.05, 0.05, 0.05]).repeat(4)
-    below_small, above_small = small[:8], small[8:]
+    small, wide = reader.closest(windows, center, ends)
+    unit = torch.tensor([1, 0.05, 0.05, 0.05]).repeat(2)
+    (below_small, flat), (above_small, _) = ((half[:8] * unit, half[8:]) for half in small.chunk(2))
+    above_wide = wide[12:20] * unit
+    assert not flat.any()
     assert below_small[:2].tolist() == pytest.approx([1, 0.06], abs=1e-4)
     assert above_small[1] < -0.1, "the wide one is below, not above"
-    torch.testing.assert_close(wide[8:], torch.cat([below_small[4:], below_small[:4]]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(above_wide, torch.cat([below_small[4:], below_small[:4]]), atol=1e-6, rtol=0)
     from_small, from_wide = below_small[2:4], below_small[6:8]
     torch.testing.assert_close(from_wide - from_small, center[0, :2] - center[1, :2], atol=1e-6, rtol=0)
     assert -0.02 < float(from_small[0]) < 0.005, "they overlap where x of the small one is in [-2, 1] cm"
+
+
+def test_the_slope_of_a_roof_is_seen_by_what_falls_onto_it() -> None:
+    reader, ends = sight(), (torch.tensor([0]), torch.tensor([1]))
+    roof = torch.stack([(torch.arange(16) < 14 - abs(x - 7)).float().expand(16, 16) for x in range(16)])
+    center = torch.tensor([[0.04, 0.0, 0.3], [0.0, 0.0, 0.08]])
+    maps = reader.maps(torch.stack([box(2, 2, 2), roof]), torch.eye(3).expand(2, 3, 3))
+    found = reader.closest(reader.pair_windows(maps, center, ends), center, ends)[0]
+    under_block, on_roof = found[8:10], found[10:12]
+    torch.testing.assert_close(under_block, torch.zeros(2), atol=1e-4, rtol=0)
+    torch.testing.assert_close(on_roof, torch.tensor([-1.0, 0.0]), atol=0.05, rtol=0)
 
 
 def test_the_underside_is_told_from_the_table() -> None:

@@ -3,7 +3,8 @@
 What falls comes to rest on what is beneath it: the height of its underside above the table and above the others' tops
 decides when and where it is stopped, and how that makes it turn. So the first frame's mask is carried along with the
 object, turned as it has turned (about any axis), and seen as two height maps: its underside from below, its top from
-above. A window of them is read by convolutions; the place where two surfaces are closest is given as numbers too.
+above. A window of them is read by convolutions; the place where two surfaces are closest, and how they slope there, is
+given as numbers too.
 """
 
 from typing import cast
@@ -17,8 +18,10 @@ from oes.dynamics.slabs import Crop, SlabNet, window
 
 OWN, PAIR = 4, 8  # channels of the two kinds of window
 SPOT = 4  # numbers about the place where two surfaces are closest
-RELIEF_OWN, RELIEF_PAIR = SPOT, 4 * SPOT  # how much wider than what the convolutions give
-CLOSE_M = 0.003  # what is farther than the closest place by so much counts for less
+SLOPES = 2  # of a surface there, along x and along y
+RELIEF_OWN, RELIEF_PAIR = SPOT, 4 * (SPOT + SLOPES)  # how much wider than what the convolutions give
+CLOSE_M, AROUND_M = 0.003, 0.006  # what is farther than the closest place by so much counts for less: its place, slope
+STEEP = 3.0
 SOLID = 0.5
 
 Ends = tuple[Tensor, Tensor]
@@ -35,7 +38,7 @@ class ReliefSight(nn.Module):
     def __init__(self, cfg: Crop, side: int, voxel_m: float, unit_m: float) -> None:
         """``unit_m`` is the height that counts as 1."""
         super().__init__()
-        self.side, self.crop_m, self.unit_m = side, side * voxel_m, unit_m
+        self.side, self.crop_m, self.cell_m, self.unit_m = side, side * voxel_m, cfg.cell_m, unit_m
         self.own = SlabNet(OWN, cfg, side)
         self.pair = SlabNet(PAIR, cfg, side)
         line = (torch.arange(side) + 0.5 - side / 2) * voxel_m
@@ -90,12 +93,21 @@ class ReliefSight(nn.Module):
         return self._spot(gap, covered > SOLID, torch.zeros_like(covered[:, 0, :2]))
 
     def closest(self, pair_Q8XY: Tensor, center_P3: Tensor, ends: Ends) -> Tensor:
-        """Where the receiver's underside is closest to the sender's top, and the reverse, from both centres: QC."""
+        """Where the receiver's underside is closest to the sender's top, and the reverse, from both centres, and how
+        those two surfaces slope there: QC."""
         half_Q2 = (center_P3[ends[1], :2] - center_P3[ends[0], :2]) / 2
-        both = pair_Q8XY[:, 0] * pair_Q8XY[:, 1]
-        gaps = [pair_Q8XY[:, channel] / both.clamp(min=SOLID**2) for channel in (PAIR - 2, PAIR - 1)]
-        spots = [self._spot(gap, both > SOLID**2, from_Q2) for gap in gaps for from_Q2 in (half_Q2, -half_Q2)]
-        return torch.cat(spots, -1)
+        covered, under, top, gaps = pair_Q8XY.reshape(-1, 4, 2, self.side, self.side).unbind(1)
+        both = covered.prod(1)
+        is_there = both > SOLID**2
+        found = []
+        for above, below in ((0, 1), (1, 0)):
+            gap = gaps[:, above] / both.clamp(min=SOLID**2)
+            found += [self._spot(gap, is_there, from_Q2) for from_Q2 in (half_Q2, -half_Q2)]
+            found += [
+                self._slope(surface[:, end], covered[:, end], gap, is_there)
+                for surface, end in ((under, above), (top, below))
+            ]
+        return torch.cat(found, -1)
 
     def _spot(self, gap_PXY: Tensor, is_there_PXY: Tensor, offset_P2: Tensor) -> Tensor:
         """Whether two surfaces face each other at all, how far apart (units), and where from a point that lies
@@ -106,6 +118,19 @@ class ReliefSight(nn.Module):
         any_P1 = is_there.any(-1, keepdim=True).float()
         place = (weight @ self.window_W2 + offset_P2) / self.unit_m * any_P1
         return torch.cat([any_P1, (weight * gap).sum(-1, keepdim=True), place], -1)
+
+    def _slope(self, surface_PXY: Tensor, covered_PXY: Tensor, gap_PXY: Tensor, is_there_PXY: Tensor) -> Tensor:
+        """Slopes P2 (rise over run, along x and y) of a surface around where a gap is smallest; 0 where none is."""
+        height = surface_PXY / covered_PXY.clamp(min=SOLID) * self.unit_m
+        solid = covered_PXY > SOLID
+        slopes = []
+        for axis in (1, 2):
+            rise = (height.roll(-1, axis) - height.roll(1, axis)) / (2 * self.cell_m)
+            whole = is_there_PXY & solid.roll(-1, axis) & solid.roll(1, axis)
+            near = torch.where(whole, -gap_PXY * (self.unit_m / AROUND_M), -torch.inf).flatten(1)
+            weight = near.softmax(-1).nan_to_num()
+            slopes.append((weight * rise.clamp(-STEEP, STEEP).flatten(1)).sum(-1))
+        return torch.stack(slopes, -1)
 
     def _look(self, maps: Maps, center_P3: Tensor, end_Q: Tensor, middle_Q2: Tensor) -> Maps:
         """The maps of objects ``end_Q`` in windows around ``middle_Q2``."""
