@@ -66,7 +66,7 @@ def episode_folder(work: Path, index: int) -> Path:
 def scene_renderer(episode: Episode, catalogue: Catalogue, cfg: Sim) -> Renderer:
     """The renderer of an episode's table, arm (if any) and bodies; ``mesh_poses(step)`` gives its poses."""
     table = np.array(cfg.physics.table_size_m)
-    robot = robot_shape(cfg.robot) if episode.steps[0].has_robot else RobotShape(())
+    robot = robot_shape(cfg.robot) if episode.has_robot else RobotShape(())
     return Renderer(scene_meshes(table, robot, episode.bodies, catalogue))
 
 

@@ -46,7 +46,7 @@ def statistics(episodes: Sequence[Episode], failures: Sequence[Failure], cfg: Ep
         },
         "share_moved": {str(T): float((values > MOVED_MM).mean()) for T, values in pushed_mm.items()},
         "share_object_contact": float(np.mean([has_object_contact(episode) for episode in episodes])),
-        **(_rod(episodes) if episodes[0].steps[0].has_robot else _impact(episodes)),
+        **(_rod(episodes) if episodes[0].has_robot else _impact(episodes)),
         "displacements_mm": {str(T): np.round(values, 2).tolist() for T, values in moved_mm.items()},
     }
 

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+PUSHING, FALLING = "pushing", "falling"  # the tasks
+
 SEG_NOTHING, SEG_TABLE, SEG_ROBOT, SEG_FIRST_OBJECT = 0, 1, 2, 3
 
 
@@ -53,11 +55,6 @@ class Step:
     touched_MM: NDArray[np.bool_]
     cameras: tuple[Camera, ...]
 
-    @property
-    def has_robot(self) -> bool:
-        """False in a world of objects alone."""
-        return len(self.joints_rad_J) > 0
-
 
 @dataclass(frozen=True)
 class Frames:
@@ -84,3 +81,8 @@ class Episode:
     actions_T3: Floats
     steps: tuple[Step, ...]
     rod_rms_m: float
+
+    @property
+    def has_robot(self) -> bool:
+        """False in a world of objects alone."""
+        return len(self.steps[0].joints_rad_J) > 0

@@ -66,7 +66,7 @@ def test_the_last_object_starts_at_rest_in_the_air_and_the_others_stand(
     for episode in episodes:
         assert (episode.task, len(episode.bodies), len(episode.steps)) == ("falling", 3, 6)
         assert [step.t_ns for step in episode.steps] == [40_000_000 * i for i in range(6)]
-        assert not episode.actions_T3.any() and not episode.steps[0].has_robot
+        assert not episode.actions_T3.any() and not episode.has_robot
         assert np.isnan(episode.steps[0].tip_world_3).all() and np.isnan(episode.rod_rms_m)
         assert lowest_m(episode, catalogue, 0) > CFG.falls.gap_m[0] - 1e-6
         standing = episode.steps[0].center_N3[:-1, 2] - episode.steps[0].size_N3[:-1, 2] / 2

@@ -169,8 +169,12 @@ def halving(inputs: int, channels: Sequence[int], kernel_px: int) -> nn.Sequenti
 
 def pairs_of(valid_BN: Tensor) -> Tensor:
     """Which (receiver, sender) pairs exist, BNN: of valid objects, none with itself."""
-    others_NN = ~torch.eye(valid_BN.shape[1], dtype=torch.bool, device=valid_BN.device)
-    return valid_BN[:, None] & valid_BN[:, :, None] & others_NN
+    return valid_BN[:, None] & valid_BN[:, :, None] & others(valid_BN.shape[1], valid_BN.device)
+
+
+def others(num: int, device: torch.device) -> Tensor:
+    """Pairs NN of different objects."""
+    return ~torch.eye(num, dtype=torch.bool, device=device)
 
 
 def _receiver_sender(hidden_BNC: Tensor, geometry_BNNC: Tensor) -> Tensor:

@@ -80,7 +80,8 @@ class ReliefSight(nn.Module):
         """Q8XY, midway between receivers and senders: both objects' maps, heights from the receiver's centre; the gap
         from the receiver's underside down to the sender's top, and the other way round."""
         middle_Q2 = (center_P3[ends[0], :2] + center_P3[ends[1], :2]) / 2
-        covered, under, top = zip(*(self._look(maps, center_P3, end, middle_Q2) for end in ends), strict=True)
+        maps_P3XY = torch.stack(maps, 1)
+        covered, under, top = zip(*(self._look(maps_P3XY, center_P3, end, middle_Q2) for end in ends), strict=True)
         lift_Q = (center_P3[ends[1], 2] - center_P3[ends[0], 2])[:, None, None]
         under, top = (under[0], under[1] + covered[1] * lift_Q), (top[0], top[1] + covered[1] * lift_Q)
         gaps = [under[0] * covered[1] - top[1] * covered[0], under[1] * covered[0] - top[0] * covered[1]]
@@ -90,7 +91,7 @@ class ReliefSight(nn.Module):
         """Where an object's underside is closest to the table, PC, from its centre."""
         covered, above_table = own_P4XY[:, 0], own_P4XY[:, 1]
         gap = above_table / covered.clamp(min=SOLID)
-        return self._spot(gap, covered > SOLID, torch.zeros_like(covered[:, 0, :2]))
+        return self._spots(gap, covered > SOLID, torch.zeros_like(covered[:, 0, :2]))
 
     def closest(self, pair_Q8XY: Tensor, center_P3: Tensor, ends: Ends) -> Tensor:
         """Where the receiver's underside is closest to the sender's top, and the reverse, from both centres, and how
@@ -102,22 +103,23 @@ class ReliefSight(nn.Module):
         found = []
         for above, below in ((0, 1), (1, 0)):
             gap = gaps[:, above] / both.clamp(min=SOLID**2)
-            found += [self._spot(gap, is_there, from_Q2) for from_Q2 in (half_Q2, -half_Q2)]
+            found.append(self._spots(gap, is_there, half_Q2, -half_Q2))
             found += [
                 self._slope(surface[:, end], covered[:, end], gap, is_there)
                 for surface, end in ((under, above), (top, below))
             ]
         return torch.cat(found, -1)
 
-    def _spot(self, gap_PXY: Tensor, is_there_PXY: Tensor, offset_P2: Tensor) -> Tensor:
-        """Whether two surfaces face each other at all, how far apart (units), and where from a point that lies
-        ``offset_P2`` before the window's middle (units): PC."""
+    def _spots(self, gap_PXY: Tensor, is_there_PXY: Tensor, *offsets_P2: Tensor) -> Tensor:
+        """Whether two surfaces face each other at all, how far apart (units), and where from a point that lies an
+        offset before the window's middle (units): PC, such numbers for each of ``offsets_P2``."""
         gap, is_there = gap_PXY.flatten(1), is_there_PXY.flatten(1)
         near = torch.where(is_there, -gap * (self.unit_m / CLOSE_M), -torch.inf)
         weight = near.softmax(-1).nan_to_num()
         any_P1 = is_there.any(-1, keepdim=True).float()
-        place = (weight @ self.window_W2 + offset_P2) / self.unit_m * any_P1
-        return torch.cat([any_P1, (weight * gap).sum(-1, keepdim=True), place], -1)
+        closest_P1, place_P2 = (weight * gap).sum(-1, keepdim=True), weight @ self.window_W2
+        spots = [(any_P1, closest_P1, (place_P2 + offset_P2) / self.unit_m * any_P1) for offset_P2 in offsets_P2]
+        return torch.cat([number for spot in spots for number in spot], -1)
 
     def _slope(self, surface_PXY: Tensor, covered_PXY: Tensor, gap_PXY: Tensor, is_there_PXY: Tensor) -> Tensor:
         """Slopes P2 (rise over run, along x and y) of a surface around where a gap is smallest; 0 where none is."""
@@ -132,11 +134,11 @@ class ReliefSight(nn.Module):
             slopes.append((weight * rise.clamp(-STEEP, STEEP).flatten(1)).sum(-1))
         return torch.stack(slopes, -1)
 
-    def _look(self, maps: Maps, center_P3: Tensor, end_Q: Tensor, middle_Q2: Tensor) -> Maps:
+    def _look(self, maps_P3XY: Tensor, center_P3: Tensor, end_Q: Tensor, middle_Q2: Tensor) -> Maps:
         """The maps of objects ``end_Q`` in windows around ``middle_Q2``."""
         away_QW2 = middle_Q2[:, None] + self.window_W2 - center_P3[end_Q, None, :2]
         grid = (away_QW2 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, 2)
-        seen = F.grid_sample(torch.stack(maps, 1)[end_Q], grid, align_corners=False)
+        seen = F.grid_sample(maps_P3XY[end_Q], grid, align_corners=False)
         return cast(Maps, seen.unbind(1))
 
 

@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from oes.config import params
-from oes.dynamics.graph import ObjectState, Sight, action_axes, halving, heading, mlp
+from oes.dynamics.graph import ObjectState, Sight, action_axes, halving, heading, mlp, others
 
 BEHIND_CELLS = 5  # of the window around the tip's path; the rest lies ahead
 FAR_M = 0.07
@@ -97,7 +97,7 @@ class SlabSight(nn.Module):
         """Features BNNC of both shapes in the window midway between a receiver (first N) and a sender; 0 to itself."""
         slabs_BNKXY, center_BN3, turned_BN = shapes
         num = center_BN3.shape[1]
-        receivers, senders = (~torch.eye(num, dtype=torch.bool, device=center_BN3.device)).nonzero().unbind(1)
+        receivers, senders = others(num, center_BN3.device).nonzero().unbind(1)
         ends = [(slabs_BNKXY[:, i], center_BN3[:, i], turned_BN[:, i]) for i in (receivers, senders)]
         between_BEP3 = ((ends[0][1] + ends[1][1]) / 2)[:, :, None] + here_BP3[:, None]
         found_BEC = _each(self.pair, torch.cat([self._look(end, between_BEP3) for end in ends], 2))

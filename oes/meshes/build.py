@@ -75,12 +75,12 @@ def build_catalogue(cfg: Meshes, out: Path) -> Catalogue:
     Raises CatalogueError when a source that was asked for gives nothing usable.
     """
     with _whole(out) as folder:
-        taken = [(_add(draft, cfg, folder)[0], family) for family, draft in _plates(cfg)]
-        taken += _add_blocks(cfg, folder)
+        taken = [(_add(draft, _longest_m(draft.id, cfg), cfg, folder)[0], family) for family, draft in _plates(cfg)]
+        taken += [(_add(draft, longest_m, cfg, folder)[0], family) for family, draft, longest_m in _blocks(cfg)]
         rejections: list[Rejection] = []
         for category in GENERATORS:
             if cfg.shapenet is None:
-                taken += [_add(draft, cfg, folder) for draft in _generated(category, cfg)]
+                taken += [_add(draft, _longest_m(draft.id, cfg), cfg, folder) for draft in _generated(category, cfg)]
             else:
                 taken += _add_shapenet(shapenet_candidates(Path(cfg.shapenet), category), cfg, folder, rejections)
         if cfg.folder is not None:
@@ -124,17 +124,14 @@ def _plates(cfg: Meshes) -> Iterator[tuple[str, Draft]]:
         yield id_.rstrip("123"), Draft(id_, MIT_PUSH, "parametric", status, shape.solid, shape.parts)
 
 
-def _add_blocks(cfg: Meshes, folder: Path) -> list[tuple[str, str]]:
-    """Write the blocks; gives the id and stratum of each: its family, as no folder of the user's can be called."""
-    taken = []
+def _blocks(cfg: Meshes) -> Iterator[tuple[str, Draft, float]]:
+    """Each block with its stratum (its family, as no folder of the user's can be called) and longest side (m)."""
     for family, blocks in BLOCKS.items():
         for name, shape in blocks.items():
             status = f"generated; 1 unit is {cfg.size.block_unit_m * 1e3:.1f} mm"
             draft = Draft(f"{BLOCK}_{name}", BLOCK, "parametric", status, shape.solid, shape.parts)
             longest_m = float(shape.solid.extents[:2].max()) * cfg.size.block_unit_m
-            write_mesh(*placed(draft, longest_m, cfg.ingest.stand), folder / draft.id)
-            taken.append((draft.id, f"{BLOCK}/{family}"))
-    return taken
+            yield f"{BLOCK}/{family}", draft, longest_m
 
 
 def _generated(category: str, cfg: Meshes) -> Iterator[Draft]:
@@ -144,8 +141,8 @@ def _generated(category: str, cfg: Meshes) -> Iterator[Draft]:
         yield Draft(id_, category, "procedural", "generated", shape.solid, shape.parts)
 
 
-def _add(draft: Draft, cfg: Meshes, folder: Path) -> tuple[str, str]:
-    write_mesh(*placed(draft, _longest_m(draft.id, cfg), cfg.ingest.stand), folder / draft.id)
+def _add(draft: Draft, longest_m: float, cfg: Meshes, folder: Path) -> tuple[str, str]:
+    write_mesh(*placed(draft, longest_m, cfg.ingest.stand), folder / draft.id)
     return draft.id, draft.category
 
 

@@ -14,7 +14,7 @@ import trimesh
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked
 
-from oes.episode import Floats
+from oes.episode import FALLING, PUSHING, Floats
 from oes.meshes.convex import Mass
 from oes.meshes.draft import Draft
 from oes.meshes.objfile import read_groups, write_groups
@@ -23,7 +23,6 @@ LIST, REJECTED = "catalogue.csv", "rejected.csv"
 VISUAL, COLLISION, RECORD = "visual.obj", "collision.obj", "mesh.json"
 TRAIN, TEST = "train", "test"
 BLOCK = "block"  # the category of meshes that fall; all others are pushed
-FALLING = "falling"
 
 
 class CatalogueError(ValueError):
@@ -62,7 +61,7 @@ class Catalogue:
 
     meshes: dict[str, Mesh]
 
-    def split(self, name: str, task: str = "pushing") -> list[Mesh]:
+    def split(self, name: str, task: str = PUSHING) -> list[Mesh]:
         """The meshes of 'train' or 'test' for a task: blocks fall, all others are pushed.
 
         Raises CatalogueError when there are none.

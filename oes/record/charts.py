@@ -46,7 +46,7 @@ def plan_svg(episode: Episode) -> str:
     return (
         f'<svg class="plan" width="{PLAN_PX}" height="{PLAN_PX}" viewBox="{-half} {-half} {2 * half} {2 * half}">'
         f'<rect x="{-TABLE_HALF_M}" y="{-TABLE_HALF_M}" width="{side}" height="{side}" class="table"/>'
-        f"{''.join(hulls)}{_rod(tips_T3, commanded_T3) if episode.steps[0].has_robot else ''}</svg>"
+        f"{''.join(hulls)}{_rod(tips_T3, commanded_T3) if episode.has_robot else ''}</svg>"
     )
 
 

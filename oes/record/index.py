@@ -69,7 +69,7 @@ def _row(name: str, episode: Episode, strip: str, has_sheet: bool) -> str:
         f"{moved_mm.min(initial=np.inf):.0f}",
         str(sum(a == 1 for a, _ in pairs)),
         str(sum(a > 1 for a, _ in pairs)),
-        f"{episode.rod_rms_m * MM:.2f}" if episode.steps[0].has_robot else "",
+        f"{episode.rod_rms_m * MM:.2f}" if episode.has_robot else "",
     ]
     return "<tr>" + "".join(f'<td class="{_align(i)}">{cell}</td>' for i, cell in enumerate(cells)) + "</tr>"
 

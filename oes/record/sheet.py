@@ -43,7 +43,7 @@ def episode_sheet(folder: Path) -> str:
   {contacts_svg(episode)}<figcaption>Contacts since the state before.</figcaption></figure>
   <figure>{_bodies_table(episode)}</figure>
 </section>
-{_actions_table(episode) if episode.steps[0].has_robot else ""}"""
+{_actions_table(episode) if episode.has_robot else ""}"""
     return page(title, body, SHEET_SCRIPT)
 
 
@@ -53,7 +53,7 @@ def _summary(episode: Episode) -> str:
     return (
         f"{len(episode.bodies)} objects, {len(episode.steps)} states over {duration_s:g} s, "
         f"{len(episode.steps[0].cameras)} cameras, seed {episode.seed}, "
-        f"{rod if episode.steps[0].has_robot else 'no robot'}"
+        f"{rod if episode.has_robot else 'no robot'}"
     )
 
 

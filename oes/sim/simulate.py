@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oes.config import params
-from oes.episode import Body, Episode
+from oes.episode import FALLING, PUSHING, Body, Episode
 from oes.sim.arm import ReachError
 from oes.sim.attempt import Chance, Settle, dropped, pushed, record, rms
 from oes.sim.drop import Falls
@@ -17,7 +17,6 @@ from oes.sim.world import NS_PER_MS, Sim, World
 if TYPE_CHECKING:
     from oes.meshes.catalogue import Catalogue
 
-PUSHING, FALLING = "pushing", "falling"
 TASKS = (PUSHING, FALLING)
 
 
@@ -101,10 +100,10 @@ def replay_bodies(catalogue: "Catalogue", cfg: Sim, episode: Episode, bodies: tu
     """The episode's start and actions with these bodies in place of its own; its cameras and times are kept."""
     first = episode.steps[0]
     with World(catalogue, cfg) as world:
-        world.reset(bodies, first.world_T_obj_N44, first.tip_world_3 if first.has_robot else None)
+        world.reset(bodies, first.world_T_obj_N44, first.tip_world_3 if episode.has_robot else None)
         steps, squares = [world.step(first.t_ns, first.cameras)], []
         for action_3, old in zip(episode.actions_T3, episode.steps[1:], strict=True):
-            if first.has_robot:
+            if episode.has_robot:
                 squares.append(world.push(action_3))
             else:
                 world.run((old.t_ns - steps[-1].t_ns) // NS_PER_MS)
