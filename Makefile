@@ -27,10 +27,14 @@ GLANCE = find $(1) -name __pycache__ -prune -o -not -type d -printf '%p %s %T@\n
 CODE = $(call GLANCE,pipeline.yaml params.yaml stages oes)
 DATA = $(call GLANCE,dvc.lock datasets reports)
 
+# DVC runs one stage after the other. The models of dynamics do not depend on each other and gain little from a second
+# thread, so each gets one core and they run side by side.
+SIDE_BY_SIDE = dvc stage list --name-only | grep '^$(1)@' | OMP_NUM_THREADS=1 xargs -P $$(nproc) -n 1 dvc repro -s
+
 all: profile ## the whole study, from meshes to reports/; what is up to date is not run again
 	@cd $(HERE) && code="$$($(CODE))" && done=.dvc/tmp/done && \
 	  if [ -f $$done ] && [ "$$code $$($(DATA))" = "$$(cat $$done)" ]; then echo 'Everything is up to date.'; \
-	  else dvc repro && echo "$$code $$($(DATA))" > $$done; fi
+	  else dvc repro objects && $(call SIDE_BY_SIDE,dynamics) && dvc repro && echo "$$code $$($(DATA))" > $$done; fi
 
 test: setup check ## everything that must be green before a commit, from a fresh clone on
 
