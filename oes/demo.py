@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from oes.config import load, params
 from oes.control.plan import Plan
-from oes.control.proposals import Rod
 from oes.dynamics.checkpoint import load_model
 from oes.episode import Body, Floats, Step
 from oes.evaluate import KEPT, TRAINED, find_weights
@@ -26,14 +25,14 @@ from oes.percept.perceiver import Perceiver
 from oes.sim.rig import rig
 from oes.sim.world import Sim, World
 from oes.stage import PARAMS, run
-from oes.trial.contest import CAMERAS, PLANS, TASKS, Photographer, Trials
-from oes.trial.loop import Moment, Outcome, Planner, run_trial
+from oes.trial.contest import CAMERAS, PLANS, TASKS, Photographer, Trials, make_planner
+from oes.trial.loop import Moment, Outcome, run_trial
 from oes.trial.pictures import seen_picture
-from oes.trial.task import Targets, Task, draw_task, generator
+from oes.trial.task import Scenario, Task, draw_task, generator
 
 log = logging.getLogger(__name__)
 
-SCENARIO, MODEL = "targets", "oes"
+SCENARIO, PLANNER, MODEL = "targets", "cem", "oes"
 MESHES, SPARE = Path("datasets/meshes"), Path(".work/demo-meshes")
 FILE = Path("demo.mp4")
 
@@ -53,20 +52,18 @@ class Demo:
 def main(cfg: Demo) -> None:
     """Plan and push until the object is believed at its goal; write the film. Raises EvaluateError without weights."""
     trials = load(PARAMS, "trials", Trials)
-    targets = replace(trials.scenarios[SCENARIO], num_objects=(1, 1), goal_m=cfg.goal_m)
+    scenario = replace(trials.scenarios[SCENARIO], num_objects=(1, 1), goal_m=cfg.goal_m)
     perception, dynamics = find_weights((KEPT, TRAINED), (MODEL,))
     catalogue = find_catalogue()
-    robot = trials.sim.robot
-    rod = Rod(robot.rod_radius_m, robot.tip_height_m, robot.workspace_m)
-    eyes = Perceiver.load(perception)
-    planner = Planner(eyes, eyes.net.cfg.roi.voxel_m, load_model(dynamics[MODEL]), rod, trials.push, trials.track)
+    planner = make_planner(trials, Perceiver.load(perception), load_model(dynamics[MODEL]))
     rngs = [generator(cfg.seed, "demo", 0, stream) for stream in (TASKS, CAMERAS, PLANS)]
-    task = draw_task(catalogue, trials.sim, targets, rngs[TASKS])
+    task = draw_task(catalogue, trials.sim, scenario, rngs[TASKS])
     photographer = Photographer(catalogue, trials.sim, task.bodies)
-    with SlowWorld(catalogue, trials.sim, targets.settle_ms, cfg.pictures_per_push) as world:
-        outcome = run_trial(world, photographer, planner, task, targets, (rngs[CAMERAS], rngs[PLANS]))
-        write_video(pictures(outcome, world.pushes, photographer, task, targets, cfg), FILE, cfg.pictures_per_s)
-    start_mm, end_mm = outcome.initial_N.mean() * 1e3, outcome.final_N.mean() * 1e3
+    with SlowWorld(catalogue, trials.sim, scenario.settle_ms, cfg.pictures_per_push) as world:
+        search = scenario.planners[PLANNER]
+        outcome = run_trial(world, photographer, planner, task, scenario, search, (rngs[CAMERAS], rngs[PLANS]))
+        write_video(pictures(outcome, world.pushes, photographer, task, scenario, cfg), FILE, cfg.pictures_per_s)
+    start_mm, end_mm = outcome.initial_G.mean() * 1e3, outcome.final_G.mean() * 1e3
     log.info("%s: %.0f mm from the goal at first, %.0f mm after %d pushes", FILE, start_mm, end_mm, outcome.steps_used)
 
 
@@ -84,35 +81,35 @@ def pictures(
     pushes: Sequence[Sequence[Step]],
     photographer: Photographer,
     task: Task,
-    targets: Targets,
+    scenario: Scenario,
     cfg: Demo,
 ) -> Iterator[NDArray[np.uint8]]:
     """Left what the planner sees and imagines, right what happens, from the camera the planner had at each step."""
     hold = round(cfg.hold_s * cfg.pictures_per_s)
     done = iter(pushes)
     for moment in outcome.moments:
-        before = _beside(moment, 0.0, moment.rgb_HW3, task, targets, cfg)
+        before = _beside(moment, 0.0, moment.rgb_HW3, task, scenario, cfg)
         yield from [before] * hold
         if moment.chosen is None:
             continue
         states = next(done)
         for state_i, state in enumerate(states):
             rgb_HW3 = photographer(state, moment.camera).rgb_VHW3[0]
-            yield _beside(moment, min(1.0, state_i / cfg.pictures_per_push), rgb_HW3, task, targets, cfg)
-        yield from [_beside(moment, 1.0, rgb_HW3, task, targets, cfg)] * hold
+            yield _beside(moment, min(1.0, state_i / cfg.pictures_per_push), rgb_HW3, task, scenario, cfg)
+        yield from [_beside(moment, 1.0, rgb_HW3, task, scenario, cfg)] * hold
 
 
 def _beside(
-    moment: Moment, share: float, rgb_HW3: NDArray[np.uint8], task: Task, targets: Targets, cfg: Demo
+    moment: Moment, share: float, rgb_HW3: NDArray[np.uint8], task: Task, scenario: Scenario, cfg: Demo
 ) -> NDArray[np.uint8]:
     """Imagined (after ``share`` of the push) and real, side by side."""
-    imagined = seen_picture(moment, task.goal_N3, targets.success_m, cfg.zoom)
+    imagined = seen_picture(moment, task.goal_G3, scenario.success_m, cfg.zoom)
     imagined.label("imagined" if moment.chosen else "seen")
     if moment.chosen is not None:
         _draw_forecast(imagined, moment.chosen, moment.belief.center_N3, moment.belief.size_N3, share)
     real = Picture(rgb_HW3, moment.camera, cfg.zoom)
-    for goal in task.goal_N3:
-        real.ring(goal * [1, 1, 0], targets.success_m, GOAL)
+    for goal in task.goal_G3:
+        real.ring(goal * [1, 1, 0], scenario.success_m, GOAL)
     real.label("real")
     return np.concatenate([imagined.pixels, real.pixels], axis=1)
 

@@ -114,7 +114,8 @@ def write_trials(folder: Path) -> None:
         rows = []
         for i in range(6):
             video = f"trial_{i:03d}.mp4" if i in (0, 5) else ""
-            values = ("targets", model, i, 1, i < wins, i < wins, 150.0, 20.0 if i < wins else 90.0, 21.0, 6, "", video)
+            end_mm = 20.0 if i < wins else 90.0
+            values = ("targets", model, "shooting", i, 1, i < wins, i < wins, False, 150.0, end_mm, 21.0, 6, "", video)
             rows.append(dict(zip(TRIALS, values, strict=True)))
             for suffix in (".mp4", ".gif") if video else ():
                 (folder / f"targets-{model}" / f"trial_{i:03d}{suffix}").write_bytes(b"film")

@@ -1,5 +1,6 @@
 """The planner against problems whose optimum is known, and the proposals against the geometry they must respect."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,31 +9,57 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from oes.control.plan import Plan, PlanError, Proposals, goal_distance, plan
-from oes.control.proposals import Footprint, NoFreeStart, Push, Rod, footprint, sample
+from oes.control.plan import Imagined, Plan, PlanError, Proposals, search
+from oes.control.proposals import Footprint, NoFreeStart, Push, PushSampler, Rod, Search, footprint
 from oes.control.track import assign, update
 
-PUSH = Push(
-    candidates=30,
-    horizon_steps=1,
-    attempts=10,
-    length_m=(0.03, 0.06),
-    clearance_m=(0.005, 0.015),
-    aim=0.6,
-    turn_deg=30.0,
-)
+PUSH = Push(attempts=10, length_m=(0.03, 0.06), clearance_m=(0.005, 0.015), aim=0.6, turn_deg=30.0)
+SEARCH = Search(candidates=30, horizon_steps=1, rounds=1, elites=5, toward=0.0, spread_deg=10.0, spread=0.2)
 ROD = Rod(radius_m=0.008, tip_height_m=0.02, reach_m=0.3)
 
 
-def _double_integrator(proposals: Proposals) -> Tensor:
+def _double_integrator(proposals: Proposals) -> Imagined:
     """Positions SH13 of a unit mass at rest at the origin under the actions as accelerations, unit time steps."""
     velocity = proposals.actions_SH3.cumsum(dim=1)
-    return velocity.cumsum(dim=1)[:, :, None]
+    return _moved(velocity.cumsum(dim=1)[:, :, None])
+
+
+def _moved(position_SHN3: Tensor) -> Imagined:
+    samples, horizon = position_SHN3.shape[:2]
+    return Imagined(torch.zeros(samples, horizon + 1, 3), position_SHN3, torch.eye(3).expand(*position_SHN3.shape, 3))
+
+
+def _at_the_end(goal_3: Tensor) -> Callable[[Imagined], Tensor]:
+    """Distance from the goal after the last step; it is no use to stop before."""
+
+    def cost(imagined: Imagined) -> Tensor:
+        distance_SH = (imagined.position_SHN3[:, :, 0] - goal_3).norm(dim=-1)
+        return torch.cat([torch.full_like(distance_SH[:, 1:], torch.inf), distance_SH[:, -1:]], 1)
+
+    return cost
+
+
+def _given(actions_SH3: Tensor) -> Proposals:
+    return Proposals(actions_SH3[:, 0], actions_SH3, actions_SH3[..., 0])
 
 
 def _along_x(goal: float, actions_SH3: Tensor) -> Plan:
-    proposals = Proposals(actions_SH3[:, 0], actions_SH3)
-    return plan(_double_integrator, goal_distance(torch.tensor([[goal, 0.0, 0.0]])), proposals)
+    return search(lambda _: _given(actions_SH3), _double_integrator, _at_the_end(torch.tensor([goal, 0.0, 0.0])))
+
+
+class Gaussian:
+    """Accelerations along x, drawn anywhere in [-1, 1] and then about the elites, as wide as those are spread."""
+
+    def __init__(self, count: int, seed: int) -> None:
+        self.count, self.generator = count, torch.Generator().manual_seed(seed)
+
+    def __call__(self, elites_EK: Tensor | None) -> Proposals:
+        drawn = torch.randn(self.count, 3, generator=self.generator)
+        if elites_EK is not None:
+            drawn = elites_EK.mean(0) + elites_EK.std(0) * drawn
+        actions = torch.zeros(self.count, 3, 3)
+        actions[..., 0] = drawn.clamp(-1, 1)
+        return _given(actions)
 
 
 def test_double_integrator_reaches_the_closed_form_optimum() -> None:
@@ -45,30 +72,51 @@ def test_double_integrator_reaches_the_closed_form_optimum() -> None:
     assert _along_x(2.0, actions).cost < 0.01
 
 
+def test_more_rounds_come_closer_than_as_many_plans_in_one() -> None:
+    """90 plans of the double integrator in three rounds and in one, 20 times."""
+    cost = _at_the_end(torch.tensor([2.7, 0.0, 0.0]))
+    rounds = [search(Gaussian(30, seed), _double_integrator, cost, 3, 5).cost for seed in range(20)]
+    once = [search(Gaussian(90, seed), _double_integrator, cost).cost for seed in range(20)]
+    assert np.mean(rounds) < 0.5 * np.mean(once)
+
+
+def test_the_best_of_all_rounds_is_kept() -> None:
+    offers = iter([torch.tensor([[[1.0, 0, 0]]]), torch.tensor([[[5.0, 0, 0]]])])
+    best = search(
+        lambda _: _given(next(offers)), lambda p: _moved(p.actions_SH3[:, :, None]), _at_the_end(torch.zeros(3)), 2
+    )
+    assert best.cost == 1.0 and best.actions_H3.tolist() == [[1.0, 0, 0]]
+
+
 def test_point_mass_picks_the_nearest_candidate_for_every_goal() -> None:
     actions = torch.randn(50, 1, 3, generator=torch.Generator().manual_seed(1))
     for goal in torch.randn(5, 3, generator=torch.Generator().manual_seed(2)):
-        best = plan(lambda p: p.actions_SH3[:, :, None], goal_distance(goal[None]), Proposals(actions[:, 0], actions))
+        best = search(lambda _: _given(actions), lambda p: _moved(p.actions_SH3[:, :, None]), _at_the_end(goal))
         distance = (actions[:, 0] - goal).norm(dim=-1)
         assert best.cost == pytest.approx(float(distance.min()))
         assert torch.equal(best.actions_H3[0], actions[distance.argmin(), 0])
         assert torch.equal(best.position_HN3[0, 0], best.actions_H3[0])
 
 
-def test_cost_is_the_mean_over_goals_of_the_last_step() -> None:
-    positions = torch.zeros(2, 2, 2, 3)
-    positions[1, 1, 0, 0] = 0.3
-    assert goal_distance(torch.zeros(2, 3))(positions).tolist() == pytest.approx([0.0, 0.15])
+def test_a_plan_ends_where_it_costs_least() -> None:
+    actions = torch.tensor([[[1.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]])
+    best = search(
+        lambda _: _given(actions),
+        lambda p: _moved(p.actions_SH3.cumsum(1)[:, :, None]),
+        lambda imagined: (imagined.position_SHN3[:, :, 0, 0] - 2).abs(),
+    )
+    assert best.cost == 0 and best.actions_H3.shape == (2, 3) and best.position_HN3[-1, 0, 0] == 2
 
 
 def test_diverged_candidates_are_never_chosen() -> None:
     actions = torch.tensor([[[0.0, 0, 0]], [[1.0, 0, 0]]])
-    factor = torch.tensor([torch.nan, 1.0])
-    cost = goal_distance(torch.zeros(1, 3))
-    best = plan(lambda p: (p.actions_SH3 * factor[:, None, None])[:, :, None], cost, Proposals(actions[:, 0], actions))
+    factor, cost = torch.tensor([torch.nan, 1.0]), _at_the_end(torch.zeros(3))
+    best = search(
+        lambda _: _given(actions), lambda p: _moved((p.actions_SH3 * factor[:, None, None])[:, :, None]), cost
+    )
     assert best.cost == pytest.approx(1.0)
-    with pytest.raises(PlanError, match="none of the 2 candidates"):
-        plan(lambda p: p.actions_SH3[:, :, None] * torch.nan, cost, Proposals(actions[:, 0], actions))
+    with pytest.raises(PlanError, match="no candidate has a finite cost"):
+        search(lambda _: _given(actions), lambda p: _moved(p.actions_SH3[:, :, None] * torch.nan), cost)
 
 
 def _square(center: tuple[float, float], half_cells: int) -> Footprint:
@@ -84,9 +132,26 @@ def _gap(points_P2: NDArray[np.float64], center: tuple[float, float], half_m: fl
     return np.hypot(*np.maximum(np.abs(points_P2 - np.array(center)) - half_m, 0).T)
 
 
+def _sample(shapes: list[Footprint], cfg: Search = SEARCH, push: Push = PUSH) -> Proposals:
+    return PushSampler(shapes, [], ROD, push, np.random.default_rng(0))(cfg, np.zeros(len(shapes)), None)
+
+
+def test_pushes_set_out_where_asked_and_then_stay_near_the_elites() -> None:
+    sampler = PushSampler([_square((0.0, 0.0), 3)], [_square((0.3, 0.3), 3)], ROD, PUSH, np.random.default_rng(0))
+    toward = sampler(replace(SEARCH, toward=1.0), np.array([0.7]), None)
+    heading = torch.atan2(toward.actions_SH3[:, 0, 1], toward.actions_SH3[:, 0, 0])
+    assert heading.mean() == pytest.approx(0.7, abs=0.1) and 0.1 < heading.std() < 0.25
+    elites = toward.draws_SK[:2]
+    again = sampler(SEARCH, np.array([0.7]), elites)
+    assert torch.equal(again.draws_SK[:2], elites) and torch.equal(again.tip_S3[:2], toward.tip_S3[:2])
+    assert (again.draws_SK[:, None, 1] - elites[:, 1]).abs().amin(1).max() < 0.7
+    assert len(again.tip_S3) == SEARCH.candidates and again.draws_SK[:, 1].std() > 0.05
+
+
 def test_starts_are_beside_their_object_and_clear_of_every_other() -> None:
     centers = [(0.0, 0.0), (0.09, 0.0)]
-    proposals, object_i = sample([_square(center, 3) for center in centers], ROD, PUSH, np.random.default_rng(0))
+    proposals = _sample([_square(center, 3) for center in centers])
+    object_i = proposals.draws_SK[:, 0].numpy().astype(int)
     tip = proposals.tip_S3.numpy().astype(float)
     assert len(tip) == 30 and set(object_i) == {0, 1} and tip[:, 2] == pytest.approx(0.02)
     gaps = np.stack([_gap(tip[:, :2], center, 0.03) for center in centers], axis=1)
@@ -97,8 +162,7 @@ def test_starts_are_beside_their_object_and_clear_of_every_other() -> None:
 
 
 def test_pushes_meet_their_object_with_the_asked_lengths() -> None:
-    cfg = replace(PUSH, horizon_steps=4, aim=0.9)
-    proposals, _ = sample([_square((0.05, -0.05), 2)], ROD, cfg, np.random.default_rng(1))
+    proposals = _sample([_square((0.05, -0.05), 2)], replace(SEARCH, horizon_steps=4), replace(PUSH, aim=0.9))
     actions, tip = proposals.actions_SH3.numpy(), proposals.tip_S3.numpy()
     length = np.linalg.norm(actions, axis=-1)
     assert actions.shape == (30, 4, 3) and (actions[..., 2] == 0).all()
@@ -111,7 +175,7 @@ def test_pushes_meet_their_object_with_the_asked_lengths() -> None:
 
 
 def test_the_rod_stays_within_reach() -> None:
-    proposals, _ = sample([_square((0.24, 0.0), 3)], ROD, PUSH, np.random.default_rng(2))
+    proposals = _sample([_square((0.24, 0.0), 3)])
     end = proposals.tip_S3 + proposals.actions_SH3.sum(dim=1)
     assert max(proposals.tip_S3.abs().max(), end.abs().max()) <= ROD.reach_m
 
@@ -124,7 +188,7 @@ def test_empty_mask_falls_back_to_the_box() -> None:
 
 def test_no_free_start_is_an_error() -> None:
     with pytest.raises(NoFreeStart, match="beside 1 objects"):
-        sample([_square((0.5, 0.5), 3)], ROD, PUSH, np.random.default_rng(0))
+        _sample([_square((0.5, 0.5), 3)])
 
 
 def test_assignment_is_joint_gated_and_one_to_one() -> None:

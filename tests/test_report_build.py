@@ -47,7 +47,7 @@ def test_everything_is_there(reports: Path) -> None:
     stems = (*both, "by-views", *(f"{stem}-falling" for stem in both))
     assert figures == {f"{stem}.{kind}" for stem in stems for kind in ("png", "svg")}
     films = {path.name for path in (reports / "films").iterdir()}
-    stems = ("trial_000", "trial_005", "rollouts-pushing", "rollouts-falling")
+    stems = ("targets-trial_000", "targets-trial_005", "rollouts-pushing", "rollouts-falling")
     assert films == {f"{stem}.{kind}" for stem in stems for kind in ("mp4", "gif")}
     assert (reports / "contact_sheet.png").exists()
 
@@ -55,7 +55,7 @@ def test_everything_is_there(reports: Path) -> None:
 def test_the_page_shows_every_table_and_its_links_hold(reports: Path) -> None:
     page = (reports / "README.md").read_text()
     links = [part.split(")")[0] for part in page.split("](")[1:]]
-    assert {"table1.csv", "figures/by-views.png", "films/trial_000.gif", "contact_sheet.png"} <= set(links)
+    assert {"table1.csv", "figures/by-views.png", "films/targets-trial_000.gif", "contact_sheet.png"} <= set(links)
     for link in links:
         assert (reports / link).exists(), link
     assert page.count("ratio of mean errors: translation 2.") == 2, "oes is fifth in the order, graph_xyz second"
@@ -77,8 +77,8 @@ def test_metrics_json_has_the_agreed_shape(reports: Path) -> None:
     assert model["n"] == 8
     assert set(tree["by_objects"]) == set("12345") and set(tree["by_views"]) == set("1235")
     assert tree["by_objects"]["5"]["oes"]["n"] == 20
-    assert tree["mpc"]["targets"]["oes"]["success"] == pytest.approx(5 / 6, abs=1e-4)
-    assert tree["mpc"]["targets"]["oes"]["trials"] == 6
+    assert tree["mpc"]["targets"]["oes"]["shooting"]["success"] == pytest.approx(5 / 6, abs=1e-4)
+    assert tree["mpc"]["targets"]["oes"]["shooting"]["trials"] == 6
     assert tree["detector"]["1view"] == tree["detector"]["3views"]
     assert {"ap_25", "ap_50", "mask_iou", "centre_mm"} <= set(tree["detector"]["1view"])
     assert tree["view_prediction"]["psnr_db"] == 21.5 and tree["view_prediction"]["3views"]["psnr_db"] == 23.5

@@ -131,15 +131,17 @@ def test_metrics_have_the_agreed_shape(found: list[Line], tmp_path: Path) -> Non
 
 
 def _trials(path: Path) -> Path:
-    """oes succeeds in 9 of 10, graph_xyz in 4 of the same 10; one graph_xyz trial did not run."""
+    """oes succeeds in 9 of 10 with both planners, graph_xyz in 4 of the same 10; one graph_xyz trial did not run."""
     rows = [
         {
             "scenario": "targets",
             "model": model,
+            "planner": planner,
             "trial_i": i,
             "num_objects": 1,
             "success": i < wins,
             "all_success": i < wins,
+            "touched": planner == "cem" and i == 9,
             "initial_mm": 150.0,
             "mean_final_mm": "nan" if (model, i) == ("graph_xyz", 9) else 20.0 if i < wins else 80.0,
             "believed_mm": 20.0,
@@ -147,7 +149,7 @@ def _trials(path: Path) -> Path:
             "failure": "no room" if (model, i) == ("graph_xyz", 9) else "",
             "video": "",
         }
-        for model, wins in (("oes", 9), ("graph_xyz", 4))
+        for model, planner, wins in (("oes", "cem", 9), ("oes", "shooting", 9), ("graph_xyz", "shooting", 4))
         for i in range(10)
     ]
     write_csv(path, rows, list(TRIALS))
@@ -156,17 +158,26 @@ def _trials(path: Path) -> Path:
 
 def test_trials_table_pairs_the_trials(tmp_path: Path) -> None:
     found = outcomes(read_columns([_trials(tmp_path / "trials.csv")], TRIALS), "targets")
-    assert [outcome.model for outcome in found] == ["graph_xyz", "oes"]
-    baseline, ours = found
+    assert [(each.planner, each.model) for each in found] == [
+        ("shooting", "graph_xyz"),
+        ("shooting", "oes"),
+        ("cem", "oes"),
+    ]
+    baseline, ours, searched = found
+    assert (ours.touched, searched.touched) == (0, 0.1) and searched.printed is None
     assert ours.success == 0.9 and ours.p_value is None and ours.printed == 0.86
     assert ours.interval == pytest.approx((0.596, 0.982), abs=1e-3)
     assert baseline.p_value == pytest.approx(2 * 0.5**5) and baseline.failures == 1
     assert ours.distance_p_value is None and 0 < (baseline.distance_p_value or 0) < 0.1
     assert baseline.final_mm == pytest.approx((4 * 20 + 5 * 80) / 9)
     text = markdown(trials_table(found, "table3", "targets", ()))
-    assert "| graph-XYZ | 10 | 0.40 [0.17, 0.69] | 0.062 | 0.40 | 150 | 53.3 | 0.062 | 5.0 | 1 | 0.76 |" in text
+    assert (
+        "| shooting | graph-XYZ | 10 | 0.40 [0.17, 0.69] | 0.062 | 0.40 | 0.00 | 150 | 53.3 | 0.062 | 5.0 | 1 | 0.76 |"
+        in text
+    )
     tree = trials_tree(found)
-    assert tree["oes"]["success"] == 0.9 and tree["oes"]["trials"] == 10 and "p_value" not in tree["oes"]
+    assert tree["oes"]["shooting"]["success"] == 0.9 and "p_value" not in tree["oes"]["shooting"]
+    assert tree["oes"]["cem"]["trials"] == 10 and list(tree["graph_xyz"]) == ["shooting"]
 
 
 def test_bad_rows_name_the_file_and_the_place(tmp_path: Path) -> None:

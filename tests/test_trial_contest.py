@@ -41,7 +41,8 @@ def test_rows_and_films_of_a_run(cfg: Trials, found: list[Trial], tmp_path: Path
     videos = write_videos(found, targets, cfg, tmp_path)
     write_csv(tmp_path / "trials.csv", trial_rows(found, "targets", "graph_xyz", targets, videos), ROWS)
     rows = read_columns([tmp_path / "trials.csv"], TRIALS)
-    assert rows["trial_i"].tolist() == [0, 1] and set(rows["scenario"]) == {"targets"}
+    assert rows["trial_i"].tolist() == [0, 1] * 2 and rows["planner"].tolist() == ["shooting"] * 2 + ["cem"] * 2
+    assert set(rows["scenario"]) == {"targets"}
     assert (rows["initial_mm"] > 40).all() and np.isfinite(rows["mean_final_mm"]).all()
     assert (rows["failure"] == "").all() and (rows["steps_used"] <= 2).all()
     assert sum(name != "" for name in rows["video"]) >= 1
@@ -52,8 +53,8 @@ def test_rows_and_films_of_a_run(cfg: Trials, found: list[Trial], tmp_path: Path
 def test_the_same_trials_again(cfg: Trials, inputs: Inputs, found: list[Trial]) -> None:
     (first, *_), (again, *_) = found, run_trials(replace(cfg, count=1), "targets", inputs)
     assert first.task and again.task and first.outcome and again.outcome
-    assert np.array_equal(first.task.goal_N3, again.task.goal_N3)
-    assert np.array_equal(first.outcome.final_N, again.outcome.final_N)
+    assert np.array_equal(first.task.goal_G3, again.task.goal_G3)
+    assert np.array_equal(first.outcome.final_G, again.outcome.final_G)
     assert np.array_equal(first.outcome.moments[-1].rgb_HW3, again.outcome.moments[-1].rgb_HW3)
 
 
@@ -64,7 +65,7 @@ def test_a_trial_that_cannot_begin_is_a_row_with_its_reason(cfg: Trials, inputs:
     assert write_videos(trials, targets, cfg, tmp_path) == {}
     write_csv(tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), ROWS)
     with (tmp_path / "trials.csv").open() as file:
-        (row,) = csv.DictReader(file)
+        (row, _) = csv.DictReader(file)
     assert row["success"] == "False" and row["mean_final_mm"] == "nan" and "no task in 3 attempts" in row["failure"]
 
 

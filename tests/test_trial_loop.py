@@ -8,35 +8,50 @@ import pytest
 import torch
 from torch import Tensor
 
+from oes.control.cost import Avoid
 from oes.control.plan import Proposals
-from oes.control.proposals import Push, Rod
+from oes.control.proposals import Push, Rod, Search
 from oes.dynamics.graph import Motion, ObjectState
 from oes.episode import Camera, Floats, Frames, Step
 from oes.meshes.catalogue import Catalogue
 from oes.objects import Objects
 from oes.sim.pushing import PushWorld
-from oes.sim.scene import Scatter
+from oes.sim.scene import Rejected, Scatter
 from oes.sim.world import Sim
-from oes.trial.loop import Outcome, Planner, Track, imagine, run_trial
-from oes.trial.task import Targets, Task, draw_task, generator
+from oes.trial.loop import TOUCHED, Outcome, Planner, Planning, Track, imagine, run_trial
+from oes.trial.obstacles import Obstacles
+from oes.trial.task import Scenario, Task, draw_task, generator
 from tests.blocks import make_catalogue, read_sim
 
-TARGETS = Targets(
+SHOOTING = Search(candidates=60, horizon_steps=1, rounds=1, elites=1, toward=0.0, spread_deg=0.0, spread=0.0)
+CEM = Search(candidates=20, horizon_steps=1, rounds=3, elites=4, toward=0.5, spread_deg=20.0, spread=0.3)
+TARGETS = Scenario(
     num_objects=(1, 2),
     scatter=Scatter(spread_m=0.15, rim_m=0.27, gap_m=0.03),
     goal_m=(0.08, 0.15),
     goal_spread_m=0.17,
     goal_gap_m=0.02,
+    obstacles=Obstacles(count=0, along=(0.4, 0.6), aside_m=0.02, gap_m=0.02),
     max_steps=10,
     success_m=0.04,
     stop_m=0.015,
     settle_ms=200,
     max_attempts=200,
+    planners={"shooting": SHOOTING, "cem": CEM},
 )
-PUSH = Push(
-    candidates=60, horizon_steps=1, attempts=4, length_m=(0.03, 0.06), clearance_m=(0.01, 0.02), aim=0.3, turn_deg=0.0
+AROUND = replace(
+    TARGETS,
+    num_objects=(1, 1),
+    goal_m=(0.24, 0.3),
+    obstacles=replace(TARGETS.obstacles, count=1),
+    max_steps=20,
+    max_attempts=2000,
 )
-TRACK = Track(match_m=0.08, unseen_size_m=0.07, mask=0.5)
+PLANNING = Planning(
+    push=Push(attempts=4, length_m=(0.03, 0.06), clearance_m=(0.01, 0.02), aim=0.3, turn_deg=0.0),
+    avoid=Avoid(margin_m=0.008, hit_m=1.0),
+    track=Track(match_m=0.08, unseen_size_m=0.07, mask=0.5),
+)
 
 
 @pytest.fixture(scope="module")
@@ -109,16 +124,24 @@ class Shove:
 
 def _planner(sim: Sim, eyes: Oracle) -> Planner[Step]:
     rod = Rod(sim.robot.rod_radius_m, sim.robot.tip_height_m, sim.robot.workspace_m)
-    return Planner(eyes, 0.01, Shove(), rod, PUSH, TRACK)
+    return Planner(eyes, 0.01, Shove(), rod, 0.3, PLANNING)
 
 
-def _run(world: PushWorld, sim: Sim, eyes: Oracle, task: Task, trial_i: int, cfg: Targets = TARGETS) -> Outcome:
+def _run(
+    world: PushWorld,
+    sim: Sim,
+    eyes: Oracle,
+    task: Task,
+    trial_i: int,
+    cfg: Scenario = TARGETS,
+    search: Search = SHOOTING,
+) -> Outcome:
     rngs = (generator(0, "targets", trial_i, 1), generator(0, "targets", trial_i, 2))
-    return run_trial(world, eyes.look, _planner(sim, eyes), task, cfg, rngs)
+    return run_trial(world, eyes.look, _planner(sim, eyes), task, cfg, search, rngs)
 
 
-def _task(catalogue: Catalogue, sim: Sim, trial_i: int, num_objects: int) -> Task:
-    cfg = replace(TARGETS, num_objects=(num_objects, num_objects))
+def _task(catalogue: Catalogue, sim: Sim, trial_i: int, num_objects: int, base: Scenario = TARGETS) -> Task:
+    cfg = replace(base, num_objects=(num_objects, num_objects))
     return draw_task(catalogue, sim, cfg, generator(0, "targets", trial_i, 0))
 
 
@@ -127,12 +150,12 @@ def test_an_oracle_pushes_objects_to_their_goals(catalogue: Catalogue, sim: Sim,
     outcomes = [_run(world, sim, Oracle(), _task(catalogue, sim, i, n), i) for i, n in enumerate((1, 1, 2))]
     for outcome in outcomes:
         assert outcome.failure == ""
-        assert (outcome.initial_N > 0.07).all()
-        assert outcome.final_N.mean() < 0.5 * outcome.initial_N.mean()
-        assert outcome.believed_N == pytest.approx(outcome.final_N, abs=1e-6), "a perfect eye believes the truth"
+        assert (outcome.initial_G > 0.07).all()
+        assert outcome.final_G.mean() < 0.5 * outcome.initial_G.mean()
+        assert outcome.believed_G == pytest.approx(outcome.final_G, abs=1e-6), "a perfect eye believes the truth"
         assert len(outcome.moments) == outcome.steps_used + 1
         assert outcome.moments[-1].chosen is None
-    assert sum(outcome.final_N.mean() < TARGETS.success_m for outcome in outcomes) >= 2
+    assert sum(outcome.final_G.mean() < TARGETS.success_m for outcome in outcomes) >= 2
     assert any(outcome.steps_used < TARGETS.max_steps for outcome in outcomes), "no trial stopped by itself"
 
 
@@ -140,7 +163,7 @@ def test_same_seed_same_trial_and_one_random_camera_a_step(catalogue: Catalogue,
     task, short = _task(catalogue, sim, 7, 2), replace(TARGETS, max_steps=2)
     eyes = [Oracle(), Oracle()]
     first, again = (_run(world, sim, eye, task, 7, short) for eye in eyes)
-    assert np.array_equal(first.final_N, again.final_N) and first.steps_used == again.steps_used
+    assert np.array_equal(first.final_G, again.final_G) and first.steps_used == again.steps_used
     assert eyes[0].cameras == eyes[1].cameras and len(set(eyes[0].cameras)) > 1
     assert not np.array_equal(first.moments[0].camera.world_T_cam_44, first.moments[1].camera.world_T_cam_44)
 
@@ -151,8 +174,8 @@ def test_an_object_never_seen_stays_where_it_was_said_to_be(catalogue: Catalogue
     first = outcome.moments[0].belief
     assert first.is_seen_N.tolist() == [True, False]
     assert first.center_N3[1] == pytest.approx(task.center_N3[1])
-    assert first.size_N3[1] == pytest.approx(TRACK.unseen_size_m)
-    assert first.size_N3[0] != pytest.approx(TRACK.unseen_size_m)
+    assert first.size_N3[1] == pytest.approx(PLANNING.track.unseen_size_m)
+    assert first.size_N3[0] != pytest.approx(PLANNING.track.unseen_size_m)
 
 
 def test_an_object_off_the_table_ends_the_trial(catalogue: Catalogue, sim: Sim, world: PushWorld) -> None:
@@ -171,25 +194,62 @@ def test_nothing_to_propose_breaks_the_trial_off_with_its_reason(
     planner = _planner(sim, Oracle())
     planner.rod = replace(planner.rod, reach_m=0.01)
     rngs = (generator(0, "targets", 0, 1), generator(0, "targets", 0, 2))
-    outcome = run_trial(world, planner.eyes.look, planner, task, TARGETS, rngs)  # type: ignore[attr-defined]
+    outcome = run_trial(world, planner.eyes.look, planner, task, TARGETS, SHOOTING, rngs)  # type: ignore[attr-defined]
     assert "is free" in outcome.failure and outcome.steps_used == 0
-    assert outcome.final_N == pytest.approx(outcome.initial_N)
+    assert outcome.final_G == pytest.approx(outcome.initial_G)
+
+
+def test_an_oracle_pushes_around_an_obstacle(catalogue: Catalogue, sim: Sim, world: PushWorld) -> None:
+    """Two trials with the cross-entropy method: at least one ends at the goal; what touches the obstacle ends there."""
+    outcomes = [_run(world, sim, Oracle(), _task(catalogue, sim, i, 1, AROUND), i, AROUND, CEM) for i in range(2)]
+    arrived = [o for o in outcomes if not o.failure and o.final_G.mean() < AROUND.success_m]
+    assert arrived
+    assert all(len(outcome.final_G) == 1 and len(outcome.moments[0].belief.center_N3) == 2 for outcome in outcomes)
+    path = np.array([moment.belief.center_N3 for moment in arrived[0].moments])
+    assert np.ptp(path[:, 1], axis=0) == pytest.approx(0, abs=1e-3), "the obstacle did not move"
+
+
+def test_a_touched_obstacle_ends_the_trial(catalogue: Catalogue, sim: Sim, world: PushWorld) -> None:
+    """A planner that does not care about the obstacle runs into it."""
+    task = _task(catalogue, sim, 1, 1, AROUND)
+    planner = _planner(sim, Oracle())
+    planner.cfg = replace(PLANNING, avoid=Avoid(margin_m=-1.0, hit_m=0.0))
+    rngs = (generator(0, "targets", 1, 1), generator(0, "targets", 1, 2))
+    outcome = run_trial(world, planner.eyes.look, planner, task, AROUND, CEM, rngs)  # type: ignore[attr-defined]
+    assert outcome.failure == TOUCHED and 0 < outcome.steps_used < AROUND.max_steps
+
+
+def test_obstacles_bar_every_straight_way_and_leave_another(catalogue: Catalogue, sim: Sim) -> None:
+    for count in (1, 2, 3):
+        cfg = replace(AROUND, obstacles=replace(AROUND.obstacles, count=count))
+        for trial_i in range(6):
+            task = _task(catalogue, sim, trial_i, 1, cfg)
+            assert len(task.bodies) == 1 + count and task.goal_G3.shape == (1, 3)
+            start, goal, obstacle = task.center_N3[0, :2], task.goal_G3[0, :2], task.center_N3[1, :2]
+            along = (goal - start) / np.linalg.norm(goal - start)
+            offset = obstacle - start
+            assert abs(offset[0] * along[1] - offset[1] * along[0]) < 0.06
+            assert 0.3 < offset @ along / np.linalg.norm(goal - start) < 0.7
+            apart = np.linalg.norm(task.center_N3[1:, None, :2] - np.stack([start, goal]), axis=-1)
+            assert apart.min() > 0.06
+    with pytest.raises(Rejected, match="in 3 attempts"):
+        _task(catalogue, sim, 0, 1, replace(AROUND, max_attempts=3, goal_m=(0.05, 0.06)))
 
 
 def test_tasks_keep_the_rules(catalogue: Catalogue, sim: Sim) -> None:
     counts = set()
     for trial_i in range(40):
         task = draw_task(catalogue, sim, TARGETS, generator(0, "targets", trial_i, 0))
-        distance = np.linalg.norm(task.goal_N3 - task.center_N3, axis=1)
+        distance = np.linalg.norm(task.goal_G3 - task.center_N3, axis=1)
         assert distance.min() >= TARGETS.goal_m[0] and distance.max() <= TARGETS.goal_m[1]
-        assert np.abs(task.goal_N3[:, :2]).max() <= TARGETS.goal_spread_m
-        assert task.goal_N3[:, 2] == pytest.approx(task.center_N3[:, 2])
+        assert np.abs(task.goal_G3[:, :2]).max() <= TARGETS.goal_spread_m
+        assert task.goal_G3[:, 2] == pytest.approx(task.center_N3[:, 2])
         counts.add(len(task.bodies))
         if len(task.bodies) == 2:
-            assert np.linalg.norm(task.goal_N3[0] - task.goal_N3[1]) > 0.08
+            assert np.linalg.norm(task.goal_G3[0] - task.goal_G3[1]) > 0.08
     assert counts == {1, 2}
-    same, other = (draw_task(catalogue, sim, TARGETS, generator(0, "targets", i, 0)).goal_N3 for i in (39, 38))
-    assert np.array_equal(task.goal_N3, same) and not np.array_equal(same, other)
+    same, other = (draw_task(catalogue, sim, TARGETS, generator(0, "targets", i, 0)).goal_G3 for i in (39, 38))
+    assert np.array_equal(task.goal_G3, same) and not np.array_equal(same, other)
 
 
 def test_imagining_reads_appearance_once_and_moves_what_is_in_the_way() -> None:
@@ -197,8 +257,12 @@ def test_imagining_reads_appearance_once_and_moves_what_is_in_the_way() -> None:
         None, torch.tensor([[0.1, 0.0, 0.02], [0.0, 0.2, 0.02]]), torch.full((2, 3), 0.07), torch.ones(2)
     )  # type: ignore[arg-type]
     tips: Floats = np.array([[0.04, 0.0, 0.02], [0.0, 0.1, 0.02]])
-    proposals = Proposals(torch.from_numpy(tips).float(), torch.tensor([[[0.05, 0, 0]], [[0, 0.05, 0]]]))
-    positions = imagine(Shove(), objects, proposals)
+    proposals = Proposals(
+        torch.from_numpy(tips).float(), torch.tensor([[[0.05, 0, 0]], [[0, 0.05, 0]]]), torch.zeros(2, 0)
+    )
+    imagined = imagine(Shove(), objects, proposals)
+    positions = imagined.position_SHN3
+    assert imagined.tip_SI3[:, 1].tolist() == [pytest.approx([0.09, 0, 0.02]), pytest.approx([0, 0.15, 0.02])]
     assert positions.shape == (2, 1, 2, 3)
     assert positions[0, 0, 0].tolist() == pytest.approx([0.1 + 0.05 - 0.017, 0.0, 0.02])
     assert positions[0, 0, 1].tolist() == pytest.approx([0.0, 0.2, 0.02])

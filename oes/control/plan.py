@@ -1,7 +1,8 @@
-"""Random shooting, as in the paper (3.3 and C.3): imagine every proposed push, keep the one of least cost.
+"""Planning by imagining: of many proposed plans, the one that costs least (paper 3.3 and C.3).
 
-No elites, no refit: one round of independent samples. ``unroll`` and ``cost`` arrive as functions, so the
-planner cannot reach a simulator.
+One round of independent proposals is random shooting, as in the paper; more rounds, each proposed around the best of
+the one before, are the cross-entropy method. ``unroll`` and ``cost`` arrive as functions, so the planner cannot reach
+a simulator.
 """
 
 from collections.abc import Callable
@@ -17,15 +18,28 @@ class PlanError(ValueError):
 
 @dataclass(frozen=True)
 class Proposals:
-    """S candidate plans: where the rod starts (``tip_S3``, world) and its H displacements (``actions_SH3``)."""
+    """S candidate plans: where the rod starts (``tip_S3``, world) and its H displacements (``actions_SH3``).
+
+    ``draws_SK`` are the numbers that they were made from, for who proposes plans like the best of these.
+    """
 
     tip_S3: Tensor
     actions_SH3: Tensor
+    draws_SK: Tensor
+
+
+@dataclass(frozen=True)
+class Imagined:
+    """What S plans would do: the rod's way (I = H + 1 places), where each of N objects gets to and how it turns."""
+
+    tip_SI3: Tensor
+    position_SHN3: Tensor
+    turned_SHN33: Tensor
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The chosen candidate: its start, its actions, the positions it is imagined to reach, and its cost."""
+    """The chosen candidate up to the step at which it costs least: start, actions, positions imagined, and cost."""
 
     tip_3: Tensor
     actions_H3: Tensor
@@ -33,32 +47,37 @@ class Plan:
     cost: float
 
 
-def plan(unroll: Callable[[Proposals], Tensor], cost: Callable[[Tensor], Tensor], proposals: Proposals) -> Plan:
-    """The best of the proposals. ``unroll`` gives positions SHN3, ``cost`` turns those into S numbers.
+Propose = Callable[[Tensor | None], Proposals]  # of the draws EK of the best plans of the round before; None at first
+Unroll = Callable[[Proposals], Imagined]
+Cost = Callable[[Imagined], Tensor]  # SH: of every plan, were it to end after each of its steps
+
+
+def search(propose: Propose, unroll: Unroll, cost: Cost, rounds: int = 1, elites: int = 1) -> Plan:
+    """The best plan of ``rounds`` rounds; each after the first is proposed from the ``elites`` best of the last.
 
     Raises PlanError when no candidate has a finite cost: a diverged model plans nothing.
     """
-    samples, horizon, _ = proposals.actions_SH3.shape
-    assert proposals.tip_S3.shape == (samples, 3), proposals.tip_S3.shape
-    position_SHN3 = unroll(proposals)
-    assert position_SHN3.shape == (samples, horizon, position_SHN3.shape[-2], 3), position_SHN3.shape
-    cost_S = torch.nan_to_num(cost(position_SHN3), nan=torch.inf)
-    best_i = int(cost_S.argmin())
-    if not torch.isfinite(cost_S[best_i]):
-        raise PlanError(f"plan: none of the {samples} candidates has a finite cost")
+    best: Plan | None = None
+    drawn: Tensor | None = None
+    for _ in range(rounds):
+        proposals = propose(drawn)
+        imagined = unroll(proposals)
+        cost_SH = torch.nan_to_num(cost(imagined), nan=torch.inf)
+        assert cost_SH.shape == proposals.actions_SH3.shape[:2], cost_SH.shape
+        cost_S, stop_S = cost_SH.min(dim=1)
+        order = cost_S.argsort()
+        if best is None or cost_S[order[0]] < best.cost:
+            best = _cut(proposals, imagined, int(order[0]), int(stop_S[order[0]]) + 1, float(cost_S[order[0]]))
+        drawn = proposals.draws_SK[order[:elites]]
+    if best is None or not torch.isfinite(torch.tensor(best.cost)):
+        raise PlanError(f"plan: no candidate has a finite cost in {rounds} rounds")
+    return best
+
+
+def _cut(proposals: Proposals, imagined: Imagined, best_i: int, steps: int, cost: float) -> Plan:
     return Plan(
         tip_3=proposals.tip_S3[best_i],
-        actions_H3=proposals.actions_SH3[best_i],
-        position_HN3=position_SHN3[best_i],
-        cost=float(cost_S[best_i]),
+        actions_H3=proposals.actions_SH3[best_i, :steps],
+        position_HN3=imagined.position_SHN3[best_i, :steps],
+        cost=cost,
     )
-
-
-def goal_distance(goal_N3: Tensor) -> Callable[[Tensor], Tensor]:
-    """Cost of the paper (3.3): mean over objects of the distance in metres from the last position to the goal."""
-
-    def cost(position_SHN3: Tensor) -> Tensor:
-        distance_SN: Tensor = torch.linalg.vector_norm(position_SHN3[:, -1] - goal_N3, dim=-1)
-        return distance_SN.mean(dim=-1)
-
-    return cost

@@ -1,10 +1,12 @@
 """Pushes worth imagining: an object, a free start beside what is perceived of it, a direction and a length."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from oes.config import params
 from oes.control.plan import PlanError, Proposals
@@ -13,20 +15,36 @@ from oes.episode import Floats
 
 @params
 class Push:
-    """How pushes are proposed.
+    """Which pushes are proposed at all.
 
-    ``candidates`` of ``horizon_steps`` actions are kept of ``candidates * attempts`` drawn. Each action's length is
-    uniform in ``length_m``; the rod starts ``clearance_m`` (range) short of the perceived outline on a line that passes
-    the object's middle by up to ``aim`` times half its width; later actions turn by up to ``turn_deg``.
+    Of ``attempts`` times as many draws as are wanted those are kept that can be made. Each action's length is uniform
+    in ``length_m``; the rod starts ``clearance_m`` (range) short of the perceived outline on a line that passes the
+    object's middle by up to ``aim`` times half its width; later actions turn by up to ``turn_deg``.
     """
 
-    candidates: int
-    horizon_steps: int
     attempts: int
     length_m: tuple[float, float]
     clearance_m: tuple[float, float]
     aim: float
     turn_deg: float
+
+
+@params
+class Search:
+    """How a planner looks for a push: ``rounds`` times ``candidates`` plans of ``horizon_steps`` actions.
+
+    One round is random shooting. Each further one is drawn around the ``elites`` best plans of the last: headings and
+    turns with a standard deviation of ``spread_deg``, the other numbers of ``spread`` times half their range. In the
+    first round a share ``toward`` sets out where an object should go, give or take ``spread_deg``.
+    """
+
+    candidates: int
+    horizon_steps: int
+    rounds: int
+    elites: int
+    toward: float
+    spread_deg: float
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -49,6 +67,11 @@ class Footprint:
     points_P2: Floats
     cell_m: float
 
+    @property
+    def radius_m(self) -> float:
+        """Of the circle about its centre that holds it."""
+        return float(np.linalg.norm(self.points_P2 - self.center_2, axis=1).max() + self.cell_m / 2)
+
 
 class NoFreeStart(PlanError):
     """No point beside any object is free for the rod."""
@@ -70,38 +93,73 @@ def footprint(
     return Footprint(center_2=center_3[:2], points_P2=points_P2, cell_m=voxel_m)
 
 
-def sample(
-    footprints: list[Footprint], rod: Rod, cfg: Push, rng: np.random.Generator
-) -> tuple[Proposals, NDArray[np.int64]]:
-    """``cfg.candidates`` pushes (fewer when free starts are rare) and which object (S) each one is beside.
+class PushSampler:
+    """Proposes plans that set out with a push of one of ``shapes``; the rod starts on none of those nor ``others``."""
 
-    Object and heading are uniform. Raises NoFreeStart when none of the draws has a free start.
-    """
-    drawn = cfg.candidates * cfg.attempts
-    object_i = rng.integers(len(footprints), size=drawn)
-    heading = rng.uniform(-np.pi, np.pi, size=drawn)
-    aim = rng.uniform(-cfg.aim, cfg.aim, size=drawn)
-    gap = rng.uniform(*cfg.clearance_m, size=drawn) + rod.radius_m
-    choices = zip(object_i, heading, aim, gap, strict=True)
-    start_S2 = np.stack([_beside(footprints[i], h, a, g) for i, h, a, g in choices])
-    actions_SH3 = _actions(heading, cfg, rng)
-    path_SH2 = np.concatenate([start_S2[:, None], start_S2[:, None] + actions_SH3[..., :2].cumsum(axis=1)], axis=1)
-    is_free = (np.abs(path_SH2) <= rod.reach_m).all(axis=(1, 2)) & _is_clear(start_S2, footprints, rod, cfg)
-    kept = np.flatnonzero(is_free)[: cfg.candidates]
-    if not len(kept):
-        raise NoFreeStart(f"none of {drawn} starts beside {len(footprints)} objects is free")
-    tip_S3 = np.column_stack([start_S2[kept], np.full(len(kept), rod.tip_height_m)])
-    return Proposals(*(torch.from_numpy(a).float() for a in (tip_S3, actions_SH3[kept]))), object_i[kept]
+    def __init__(
+        self, shapes: Sequence[Footprint], others: Sequence[Footprint], rod: Rod, push: Push, rng: np.random.Generator
+    ) -> None:
+        self.shapes, self.others, self.rod, self.push, self.rng = shapes, others, rod, push, rng
+
+    def __call__(self, cfg: Search, headings_G: Floats, elites_EK: Tensor | None) -> Proposals:
+        """``cfg.candidates`` plans (fewer when free starts are rare), new or around ``elites_EK``.
+
+        ``headings_G``: where each of the shapes should go. Raises NoFreeStart when no draw has a free start.
+        """
+        draws_DK = self._fresh(cfg, headings_G) if elites_EK is None else self._near(cfg, elites_EK.numpy())
+        steps = cfg.horizon_steps
+        start_D2 = np.stack([_beside(self.shapes[int(i)], *place) for i, *place in draws_DK[:, :4]])
+        actions_DH3 = _actions(draws_DK[:, 1], draws_DK[:, 4 : 4 + steps], draws_DK[:, 4 + steps :])
+        path_DH2 = np.concatenate([start_D2[:, None], start_D2[:, None] + actions_DH3[..., :2].cumsum(axis=1)], axis=1)
+        is_reached = (np.abs(path_DH2[:, :2]) <= self.rod.reach_m).all(axis=(1, 2))
+        kept = np.flatnonzero(is_reached & self._is_clear(start_D2))[: cfg.candidates]
+        if not len(kept):
+            raise NoFreeStart(f"none of {len(draws_DK)} starts beside {len(self.shapes)} objects is free")
+        tips = np.column_stack([start_D2[kept], np.full(len(kept), self.rod.tip_height_m)])
+        tip_S3, actions_SH3 = (torch.from_numpy(a).float() for a in (tips, actions_DH3[kept]))
+        return Proposals(tip_S3, actions_SH3, torch.from_numpy(draws_DK[kept]))
+
+    def _fresh(self, cfg: Search, headings_G: Floats) -> Floats:
+        """Draws DK: which object, heading, aim, gap; then the turn before and the length of each action."""
+        count, steps, rng = cfg.candidates * self.push.attempts, cfg.horizon_steps, self.rng
+        object_i = rng.integers(len(self.shapes), size=count)
+        heading = rng.uniform(-np.pi, np.pi, size=count)
+        is_toward = rng.uniform(size=count) < cfg.toward
+        toward = headings_G[object_i] + np.radians(cfg.spread_deg) * rng.normal(size=count)
+        low, high = self._bounds(steps)
+        rest_DK = rng.uniform(low, high, size=(count, len(low)))
+        return np.column_stack([object_i, np.where(is_toward, toward, heading), rest_DK])
+
+    def _near(self, cfg: Search, elites_EK: Floats) -> Floats:
+        """The elites themselves, then draws around them."""
+        count = cfg.candidates * self.push.attempts
+        draws_DK = elites_EK[self.rng.integers(len(elites_EK), size=count)]
+        low, high = self._bounds(cfg.horizon_steps)
+        draws_DK[:, 1] += np.radians(cfg.spread_deg) * self.rng.normal(size=count)
+        noise = cfg.spread * (high - low) / 2 * self.rng.normal(size=(count, len(low)))
+        draws_DK[:, 2:] = (draws_DK[:, 2:] + noise).clip(low, high)
+        return np.concatenate([elites_EK, draws_DK])
+
+    def _bounds(self, steps: int) -> Floats:
+        """Least and greatest aim, gap, turns and lengths: 2K."""
+        push, turn = self.push, np.radians(self.push.turn_deg)
+        gap = np.array(push.clearance_m) + self.rod.radius_m
+        turns = [(0.0, 0.0), *[(-turn, turn)] * (steps - 1)]
+        return np.array([(-push.aim, push.aim), gap, *turns, *[push.length_m] * steps]).T
+
+    def _is_clear(self, start_D2: Floats) -> NDArray[np.bool_]:
+        """Starts where the rod keeps at least the smallest clearance from every cell of every object."""
+        clear = np.ones(len(start_D2), dtype=bool)
+        for shape in (*self.shapes, *self.others):
+            gap_D = np.linalg.norm(start_D2[:, None] - shape.points_P2, axis=-1).min(axis=1) - shape.cell_m / 2
+            clear &= gap_D >= self.rod.radius_m + self.push.clearance_m[0] - 1e-9
+        return clear
 
 
-def _actions(heading_S: Floats, cfg: Push, rng: np.random.Generator) -> Floats:
-    """Horizontal displacements SH3: the first along the heading, each further one turned from the one before."""
-    shape = (len(heading_S), cfg.horizon_steps)
-    turn = np.radians(rng.uniform(-cfg.turn_deg, cfg.turn_deg, size=shape))
-    turn[:, 0] = 0.0
-    angle = heading_S[:, None] + np.cumsum(turn, axis=1)
-    length = rng.uniform(*cfg.length_m, size=shape)
-    return np.stack([length * np.cos(angle), length * np.sin(angle), np.zeros(shape)], axis=-1)
+def _actions(heading_D: Floats, turn_DH: Floats, length_DH: Floats) -> Floats:
+    """Horizontal displacements DH3: the first along the heading, each further one turned from the one before."""
+    angle = heading_D[:, None] + np.cumsum(turn_DH, axis=1)
+    return np.stack([length_DH * np.cos(angle), length_DH * np.sin(angle), np.zeros_like(angle)], axis=-1)
 
 
 def _beside(shape: Footprint, heading: float, aim: float, gap: float) -> Floats:
@@ -120,15 +178,6 @@ def _beside(shape: Footprint, heading: float, aim: float, gap: float) -> Floats:
     stop = (along[met] - np.sqrt(reach**2 - apart[met] ** 2)).min(initial=0.0)
     start: Floats = shape.center_2 + line * side + stop * forward
     return start
-
-
-def _is_clear(start_S2: Floats, footprints: list[Footprint], rod: Rod, cfg: Push) -> NDArray[np.bool_]:
-    """Starts where the rod keeps at least the smallest clearance from every cell of every object."""
-    clear = np.ones(len(start_S2), dtype=bool)
-    for shape in footprints:
-        gap_S = np.linalg.norm(start_S2[:, None] - shape.points_P2, axis=-1).min(axis=1) - shape.cell_m / 2
-        clear &= gap_S >= rod.radius_m + cfg.clearance_m[0] - 1e-9
-    return clear
 
 
 def _grid(center_2: Floats, size_2: Floats, cell_m: float) -> Floats:

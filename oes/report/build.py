@@ -13,7 +13,7 @@ from oes.report.card import Card, read_card
 from oes.report.figures import write_figures
 from oes.report.forecast import LAST
 from oes.report.metrics import study_tree, trials_tree, write_json
-from oes.report.names import OURS
+from oes.report.names import OURS, SCENARIOS
 from oes.report.page import headline, write_page
 from oes.report.perception import (
     VIEWS,
@@ -92,7 +92,7 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
     line = chapters[FIRST.task].line
     tables = [
         *(table for chapter in chapters.values() for table in forecast_tables(chapter.found, [chapter.line])),
-        *(trials_table(each, f"table{3 + i}", name, (line,)) for i, (name, each) in enumerate(control.items())),
+        *(trials_table(each, _table3(name, cfg), name, (line,)) for name, each in control.items()),
         *(_detector_table(chapter) for chapter in chapters.values()),
         view_table(views, (line,)),
     ]
@@ -106,7 +106,10 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
     shutil.copyfile(inputs.meshes / SHEET, out / SHEET)
     films = {
         "Forecasts": [name for task in chapters for name in forecast_films(inputs.rollouts, task, out / "films")],
-        "Trials": copy_films(inputs.trials, trials, cfg.scenarios[0], OURS, out / "films"),
+        **{
+            f"Trials {SCENARIOS.get(name, name)}": copy_films(inputs.trials, trials, name, OURS, out / "films")
+            for name in cfg.scenarios
+        },
     }
     tree = {
         "profile": cfg.profile,
@@ -118,6 +121,11 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
     write_json(tree, out / "metrics.json")
     opening = [text for each in chapters.values() for text in (headline(each.found, VARIED, LAST), each.line)]
     write_page(out / "README.md", opening, tables, figures, films)
+
+
+def _table3(scenario: str, cfg: Tables) -> str:
+    """Table 3 of the paper is the first scenario's."""
+    return "table3" if scenario == cfg.scenarios[0] else f"table3-{scenario.replace('_', '-')}"
 
 
 def _counts(rows: Columns) -> dict[str, int]:

@@ -1,6 +1,7 @@
 """What reports/ keeps beside tables: the weights of the trained models, the contact sheet, some films."""
 
 import shutil
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ from safetensors.numpy import save
 
 from oes.report.rows import Columns, select
 from oes.weights import ordered
+
+FILMS = 2  # of successes and of failures each
 
 
 class WeightsError(ValueError):
@@ -48,15 +51,17 @@ def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
 
 
 def copy_films(trials: Path, rows: Columns, scenario: str, model: str, folder: Path) -> list[str]:
-    """A film of one success and of one failure, if there are any, as MP4 and GIF; gives their paths from ``folder``'s
-    parent."""
+    """Films of two successes and two failures (the last ones), if there are any, as MP4 and GIF.
+
+    Gives their paths from ``folder``'s parent.
+    """
     names: list[str] = []
     own = select(rows, scenario=scenario, model=model)
     for is_success in (True, False):
         filmed = [Path(name) for name in select(own, success=is_success)["video"] if name]
-        for suffix in (".mp4", ".gif") if filmed else ():
+        for film, suffix in product(filmed[-FILMS:], (".mp4", ".gif")):
             folder.mkdir(parents=True, exist_ok=True)
-            source = (trials / f"{scenario}-{model}" / filmed[0]).with_suffix(suffix)
-            shutil.copyfile(source, folder / source.name)
-            names.append(f"{folder.name}/{source.name}")
+            source = (trials / f"{scenario}-{model}" / film).with_suffix(suffix)
+            shutil.copyfile(source, folder / f"{scenario}-{source.name}")
+            names.append(f"{folder.name}/{scenario}-{source.name}")
     return names

@@ -53,20 +53,21 @@ def ratio_tree(ratios: Mapping[tuple[str, str, int], Interval]) -> Tree:
 
 
 def trials_tree(found: Sequence[Outcome]) -> Tree:
-    """model -> success and trials, and what else is known."""
-    return {
-        outcome.model: {
+    """model -> planner -> success and trials, and what else is known."""
+    tree: Tree = {}
+    for outcome in found:
+        tree.setdefault(outcome.model, {})[outcome.planner] = {
             "success": outcome.success,
             "trials": outcome.trials,
             "interval_95": outcome.interval,
             "all_success": outcome.all_success,
+            "touched": outcome.touched,
             "final_mm": outcome.final_mm,
             "did_not_run": outcome.failures,
             **({} if outcome.p_value is None else {"p_value": outcome.p_value}),
             **({} if outcome.distance_p_value is None else {"distance_p_value": outcome.distance_p_value}),
         }
-        for outcome in found
-    }
+    return tree
 
 
 def write_json(tree: Tree, path: Path) -> None:

@@ -20,6 +20,13 @@ SETTINGS = {
     "fixed_pred": "1 fixed view, predicted boxes",
 }
 
+SCENARIOS = {
+    "targets": "to targets",
+    "obstacle": "around an obstacle",
+    "obstacle_2": "around two obstacles",
+    "obstacle_3": "around three obstacles",
+}
+
 METRICS = {
     "translation_mm": "translation (mm)",
     "rotation_deg": "rotation (deg)",

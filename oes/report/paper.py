@@ -42,5 +42,5 @@ CONTROL: dict[str, dict[str, float]] = {
         "planet": 0.16,
         "oes": 0.86,
     },
-    "collision_free": {"oes": 0.68},
+    "obstacle": {"oes": 0.68},
 }

@@ -31,10 +31,12 @@ ERRORS: dict[str, Kind] = {
 TRIALS: dict[str, Kind] = {
     "scenario": str,
     "model": str,
+    "planner": str,
     "trial_i": int,
     "num_objects": int,
     "success": bool,
     "all_success": bool,
+    "touched": bool,
     "initial_mm": float,
     "mean_final_mm": float,
     "believed_mm": float,
