@@ -8,7 +8,7 @@ PROFILE ?= default
 VENV := $(CURDIR)/.venv
 READY := .venv/.ready-$(shell cksum < requirements.lock | cut -d' ' -f1)
 HERE := $(if $(filter default,$(PROFILE)),.,build/$(PROFILE))
-STAGES := meshes episodes perception objects dynamics rollouts trials tables
+STAGES := meshes episodes perception objects dynamics rollouts frames video trials tables
 
 export PATH := $(VENV)/bin:$(PATH)
 export DVC_NO_ANALYTICS := 1
@@ -27,14 +27,16 @@ GLANCE = find $(1) -name __pycache__ -prune -o -not -type d -printf '%p %s %T@\n
 CODE = $(call GLANCE,pipeline.yaml params.yaml stages oes)
 DATA = $(call GLANCE,dvc.lock datasets reports)
 
-# DVC runs one stage after the other. The models of dynamics do not depend on each other and gain little from a second
-# thread, so each gets one core and they run side by side.
-SIDE_BY_SIDE = dvc stage list --name-only | grep '^$(1)@' | OMP_NUM_THREADS=1 xargs -P $$(nproc) -n 1 dvc repro -s
+# DVC runs one stage after the other. The models of dynamics and video do not depend on each other and gain little from
+# a second thread, so each gets one core and they run side by side; who finds DVC's lock taken tries again.
+MODELS = dvc stage list --name-only | grep -E '^(dynamics|video)@'
+SIDE_BY_SIDE = OMP_NUM_THREADS=1 xargs -P $$(nproc) -n 1 bash -c 'set -o pipefail; log=.dvc/tmp/$$0.log; \
+  until dvc repro -s $$0 2>&1 | tee $$log; do grep -q "Unable to acquire lock" $$log || exit 1; sleep $$((RANDOM % 5 + 1)); done'
 
 all: profile ## the whole study, from meshes to reports/; what is up to date is not run again
 	@cd $(HERE) && code="$$($(CODE))" && done=.dvc/tmp/done && \
 	  if [ -f $$done ] && [ "$$code $$($(DATA))" = "$$(cat $$done)" ]; then echo 'Everything is up to date.'; \
-	  else dvc repro objects && $(call SIDE_BY_SIDE,dynamics) && dvc repro && echo "$$code $$($(DATA))" > $$done; fi
+	  else dvc repro objects frames && $(MODELS) | $(SIDE_BY_SIDE) && dvc repro && echo "$$code $$($(DATA))" > $$done; fi
 
 test: setup check ## everything that must be green before a commit, from a fresh clone on
 
@@ -55,7 +57,9 @@ perception: ## train views -> 3D -> boxes and masks
 objects: ## what perception sees in every episode
 dynamics: ## train every model of how objects move
 rollouts: ## every model's errors on held-out episodes
-trials: ## pushing to targets in closed loop
+frames: ## what a camera above the table sees, for the baselines that forecast pictures
+video: ## train those: Visual Foresight and PlaNet
+trials: ## pushing to targets, and around obstacles, in closed loop
 tables: ## reports/: tables, figures, metrics.json
 
 $(STAGES): profile

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from oes.config import load, params
 from oes.control.plan import Plan
-from oes.dynamics.checkpoint import load_model
 from oes.episode import Body, Floats, Step
 from oes.evaluate import KEPT, TRAINED, find_weights
 from oes.film import GOAL, IMAGINED, PUSH, Picture, write_video
@@ -27,6 +26,7 @@ from oes.sim.world import Sim, World
 from oes.stage import PARAMS, run
 from oes.trial.contest import CAMERAS, PLANS, TASKS, Photographer, Trials, make_planner
 from oes.trial.loop import Moment, Outcome, run_trial
+from oes.trial.minds import load_mind
 from oes.trial.pictures import seen_picture
 from oes.trial.task import Scenario, Task, draw_task, generator
 
@@ -55,7 +55,7 @@ def main(cfg: Demo) -> None:
     scenario = replace(trials.scenarios[SCENARIO], num_objects=(1, 1), goal_m=cfg.goal_m)
     perception, dynamics = find_weights((KEPT, TRAINED), (MODEL,))
     catalogue = find_catalogue()
-    planner = make_planner(trials, Perceiver.load(perception), load_model(dynamics[MODEL]))
+    planner = make_planner(trials, Perceiver.load(perception), load_mind(dynamics[MODEL]))
     rngs = [generator(cfg.seed, "demo", 0, stream) for stream in (TASKS, CAMERAS, PLANS)]
     task = draw_task(catalogue, trials.sim, scenario, rngs[TASKS])
     photographer = Photographer(catalogue, trials.sim, task.bodies)
@@ -94,7 +94,7 @@ def pictures(
             continue
         states = next(done)
         for state_i, state in enumerate(states):
-            rgb_HW3 = photographer(state, moment.camera).rgb_VHW3[0]
+            rgb_HW3 = photographer(state, moment.camera).frames.rgb_VHW3[0]
             yield _beside(moment, min(1.0, state_i / cfg.pictures_per_push), rgb_HW3, task, scenario, cfg)
         yield from [_beside(moment, 1.0, rgb_HW3, task, scenario, cfg)] * hold
 

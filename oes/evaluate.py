@@ -13,6 +13,7 @@ import torch
 
 from oes.capture import capture_split
 from oes.config import load, params
+from oes.dynamics import MODELS
 from oes.dynamics.checkpoint import load as load_dynamics
 from oes.meshes.build import Meshes, ingest_folder
 from oes.meshes.catalogue import load_catalogue
@@ -21,7 +22,6 @@ from oes.percept.perceiver import Perceiver
 from oes.percept.solids import solids_of
 from oes.percept.store import ObjectStore, read_objects, write_objects
 from oes.record.dataset import FrameSource
-from oes.report.names import MODELS
 from oes.report.provenance import describe_machine, provenance, read_seeds
 from oes.report.rows import ERRORS, read_columns
 from oes.report.study import forecast_tables, forecasts

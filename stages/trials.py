@@ -4,7 +4,8 @@ from pathlib import Path
 
 from oes.rows import write_csv
 from oes.stage import publish, run, work_dir
-from oes.trial.contest import ROWS, Inputs, Trials, run_trials, trial_rows, write_videos
+from oes.trial.contest import Inputs, Trials, run_trials
+from oes.trial.outcomes import ROWS, trial_rows, write_videos
 
 
 def main(cfg: Trials, scenario: str, model: str, meshes: Path, perception: Path, dynamics: Path, out: Path) -> None:
@@ -12,7 +13,7 @@ def main(cfg: Trials, scenario: str, model: str, meshes: Path, perception: Path,
     inputs = Inputs(meshes, perception / "perception.safetensors", dynamics)
     with work_dir(out, (cfg, scenario, model, [meshes, perception, dynamics])) as work:
         found = run_trials(cfg, scenario, inputs)
-        videos = write_videos(found, cfg.scenarios[scenario], cfg, work)
+        videos = write_videos(found, cfg.scenarios[scenario], cfg.film, cfg.num_videos, work)
         write_csv(work / "trials.csv", trial_rows(found, scenario, model, cfg.scenarios[scenario], videos), ROWS)
         publish(work, out)
 

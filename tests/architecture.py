@@ -18,8 +18,8 @@ from oes.stage import imports, reached
 # From the bottom up: a module or package of oes may import only those before it.
 ORDER = (
     "config", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "stage", "fit", "film",
-    "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics", "control", "rollout",
-    "score", "trial", "evaluate", "demo",
+    "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics", "video", "control",
+    "rollout", "score", "trial", "evaluate", "demo",
 )  # fmt: skip
 
 # Libraries that only some packages may import.
@@ -38,6 +38,7 @@ OWNERS = {
         "fit",
         "percept",
         "dynamics",
+        "video",
         "control",
         "rollout",
         "trial",
@@ -134,9 +135,9 @@ def code_deps(root: Path, word: str) -> list[str]:
     return [f"stages/{word}.py", *names]
 
 
-def block(root: Path, word: str) -> str:
+def block(root: Path, word: str, indent: str = "    ") -> str:
     data = [dep for dep in pipeline(root)[word]["deps"] if dep.startswith("datasets/")]
-    return "".join(f"{line}\n" for line in ["    deps:", *(f"      - {dep}" for dep in code_deps(root, word) + data)])
+    return "".join(f"{indent}{line}\n" for line in ["deps:", *(f"  - {dep}" for dep in code_deps(root, word) + data)])
 
 
 def commands(root: Path) -> Iterator[str]:
@@ -187,8 +188,9 @@ def keys(tree: Any, prefix: str = "") -> Iterator[str]:
 
 
 def pipeline(root: Path) -> dict[str, Any]:
+    """The stages by name; one written as foreach ... do is told as its do, with the foreach."""
     stages: dict[str, Any] = yaml.safe_load((root / "pipeline.yaml").read_text(encoding="utf-8"))["stages"]
-    return stages
+    return {word: {**stage.pop("do", {}), **stage} for word, stage in stages.items()}
 
 
 def written(root: Path) -> dict[str, Any]:
@@ -201,11 +203,11 @@ def outs(stage: dict[str, Any]) -> list[str]:
 
 
 def expand(paths: list[str], stage: dict[str, Any]) -> set[str]:
-    """The paths of every instance of a matrix stage."""
+    """The paths of every instance of a stage."""
     matrix = stage.get("matrix", {})
+    product = [dict(zip(matrix, values, strict=True)) for values in itertools.product(*matrix.values())]
     done = set()
-    for values in itertools.product(*matrix.values()):
-        item = dict(zip(matrix, values, strict=True))
+    for item in stage.get("foreach", {}).values() or product:
         done |= {re.sub(r"\$\{item\.(\w+)\}", lambda found: str(item[found[1]]), path) for path in paths}  # noqa: B023
     return done
 
@@ -222,8 +224,8 @@ def rewrite_deps(root: Path) -> None:
     path = root / "pipeline.yaml"
     text = path.read_text(encoding="utf-8")
     for word in written(root):
-        pattern = rf"(?ms)(^  {word}:\n.*?)^    deps:\n(?:      - .*?\n)+"
-        text = re.sub(pattern, lambda found: found[1] + block(root, word), text, count=1)  # noqa: B023
+        pattern = rf"(?ms)(^  {word}:\n.*?)^( +)deps:\n(?:\2  - .*?\n)+"
+        text = re.sub(pattern, lambda found: found[1] + block(root, word, found[2]), text, count=1)  # noqa: B023
     path.write_text(text, encoding="utf-8")
 
 

@@ -16,6 +16,10 @@ from oes.percept.perceiver import IMAGE_PX, NUM_SURFACE, Perceiver
 from oes.percept.train import Perception
 from oes.sim.simulate import Episodes
 from oes.sim.world import Sim
+from oes.video.foresight import VisualForesight
+from oes.video.planet import PlaNet
+from oes.video.shoot import Overheads
+from oes.video.train import Video, save_video_model
 
 
 def make_catalogue(folder: Path) -> Catalogue:
@@ -31,7 +35,7 @@ SMOKE = Path("params.smoke.yaml")
 
 
 def make_weights(folder: Path) -> None:
-    """``perception/perception.safetensors`` and ``dynamics/pushing-oes`` and ``-graph_xyz``, untrained."""
+    """``perception/perception.safetensors`` and models of pushing in ``dynamics/pushing-MODEL``, untrained."""
     torch.manual_seed(0)
     net = PerceptionNet(load(SMOKE, "perception", Perception).network)
     roi = net.cfg.roi
@@ -40,6 +44,13 @@ def make_weights(folder: Path) -> None:
     for word, kind in (("oes", OES), ("graph_xyz", GraphXYZ)):
         (folder / "dynamics" / f"pushing-{word}").mkdir(parents=True)
         save_model(folder / "dynamics" / f"pushing-{word}", kind(load(SMOKE, "dynamics", Tasks).pushing.net, seen))
+    frames, video = load(SMOKE, "frames", Overheads), load(SMOKE, "video", Video)
+    for word, model in (
+        ("visual_foresight", VisualForesight(video.visual_foresight.net)),
+        ("planet", PlaNet(video.planet.net)),
+    ):
+        (folder / "dynamics" / f"pushing-{word}").mkdir()
+        save_video_model(folder / "dynamics" / f"pushing-{word}", model, frames.view)
     (folder / "perception").mkdir()
     Perceiver(net, torch.device("cpu")).save(folder / "perception" / "perception.safetensors")
 

@@ -11,6 +11,7 @@ from oes.report.build import Inputs
 from oes.report.names import MODELS, SETTINGS
 from oes.report.perception import BOX, DETECTIONS
 from oes.report.rows import ERRORS, TRIALS
+from oes.report.video import FORECASTS, VIDEO_MODELS
 from oes.rows import write_csv
 
 MORE_VIEWS = ("2views_pred", "3views_pred", "5views_pred")
@@ -46,13 +47,25 @@ def make_inputs(root: Path) -> Inputs:
     weights = {"w": np.linspace(-1, 1, 9, dtype=np.float32), "n": np.array([3], np.int64)}
     save_file(weights, found.perception / "perception.safetensors", about)
     save_file(weights, found.dynamics / "pushing-oes" / "model.safetensors", about)
+    write_forecasts(found.dynamics / "pushing-planet")
     return found
+
+
+def write_forecasts(folder: Path) -> None:
+    """Two clips of a model that forecasts pictures."""
+    folder.mkdir(parents=True)
+    rows = [
+        dict(zip(FORECASTS, (clip, T, 20 + clip, 0.8, 18.0, 0.7, 30.0, 50.0), strict=True))
+        for clip, T in ((0, 1), (1, 1))
+    ]
+    write_csv(folder / "forecasts.csv", rows, list(FORECASTS))
+    (folder / "forecasts.png").write_bytes(b"picture")
 
 
 def write_errors(folder: Path, task: str) -> None:
     """Errors that grow with the model's place in the order, the number of objects, and fall with views."""
     rng = np.random.default_rng(0)
-    for size, model in enumerate(MODELS, start=1):
+    for size, model in enumerate((name for name in MODELS if name not in VIDEO_MODELS), start=1):
         rows = []
         for num_objects, split, setting in SCENES[task]:
             num_views = int(setting[0]) if setting[0].isdigit() else 1
@@ -115,7 +128,24 @@ def write_trials(folder: Path) -> None:
         for i in range(6):
             video = f"trial_{i:03d}.mp4" if i in (0, 5) else ""
             end_mm = 20.0 if i < wins else 90.0
-            values = ("targets", model, "shooting", i, 1, i < wins, i < wins, False, 150.0, end_mm, 21.0, 6, "", video)
+            values = (
+                "targets",
+                model,
+                "shooting",
+                30,
+                1,
+                i,
+                1,
+                i < wins,
+                i < wins,
+                False,
+                150.0,
+                end_mm,
+                21.0,
+                6,
+                "",
+                video,
+            )
             rows.append(dict(zip(TRIALS, values, strict=True)))
             for suffix in (".mp4", ".gif") if video else ():
                 (folder / f"targets-{model}" / f"trial_{i:03d}{suffix}").write_bytes(b"film")

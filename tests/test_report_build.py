@@ -17,6 +17,7 @@ from oes.report.names import METRICS, MODELS, SETTINGS
 from oes.report.perception import DETECTIONS, VIEWS, detector_figures, read_detections, view_figures
 from oes.report.provenance import describe_machine, read_seeds
 from oes.report.rows import ERRORS, TRIALS, RowsError, read_columns
+from oes.report.video import VIDEO_MODELS
 from tests.report_inputs import make_inputs
 
 CFG = Tables(seed=0, profile="test", tasks=("pushing", "falling"), scenarios=("targets",))
@@ -35,7 +36,7 @@ def reports(inputs: Inputs, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_everything_is_there(reports: Path) -> None:
-    pushing = ("table1", "table3", "by-objects", "by-views", "detector", "view-prediction")
+    pushing = ("table1", "table3", "by-objects", "by-views", "detector", "view-prediction", "video")
     for name in (*pushing, "table2", "by-objects-falling", "detector-falling"):
         for suffix in ("md", "csv", "tex"):
             text = (reports / f"{name}.{suffix}").read_text()
@@ -45,7 +46,7 @@ def test_everything_is_there(reports: Path) -> None:
     figures = {path.name for path in (reports / "figures").iterdir()}
     both = ("error-over-time", "by-objects", "displacement")
     stems = (*both, "by-views", *(f"{stem}-falling" for stem in both))
-    assert figures == {f"{stem}.{kind}" for stem in stems for kind in ("png", "svg")}
+    assert figures == {f"{stem}.{kind}" for stem in stems for kind in ("png", "svg")} | {"forecasts-planet.png"}
     films = {path.name for path in (reports / "films").iterdir()}
     stems = ("targets-trial_000", "targets-trial_005", "rollouts-pushing", "rollouts-falling")
     assert films == {f"{stem}.{kind}" for stem in stems for kind in ("mp4", "gif")}
@@ -70,7 +71,7 @@ def test_metrics_json_has_the_agreed_shape(reports: Path) -> None:
     assert set(tree["pushing"]) == set(SETTINGS)
     for setting in SETTINGS:
         alone = set() if setting == "fixed_pred" else {"graph_xyz_image_fixed"}
-        assert set(tree["pushing"][setting]) == set(MODELS) - alone
+        assert set(tree["pushing"][setting]) == set(MODELS) - alone - set(VIDEO_MODELS)
     model = tree["pushing"]["1view_pred"]["oes"]
     assert set(METRICS) | {"n", "interval_95", "median", "diverged", "moved", "detected_share"} == set(model)
     assert all(set(model[metric]) == set(model["median"][metric]) == {"1", "3", "5"} for metric in METRICS)
@@ -79,6 +80,7 @@ def test_metrics_json_has_the_agreed_shape(reports: Path) -> None:
     assert tree["by_objects"]["5"]["oes"]["n"] == 20
     assert tree["mpc"]["targets"]["oes"]["shooting"]["success"] == pytest.approx(5 / 6, abs=1e-4)
     assert tree["mpc"]["targets"]["oes"]["shooting"]["trials"] == 6
+    assert tree["video"]["planet"]["1"]["psnr_db"] == 20.5 and tree["video"]["planet"]["1"]["n"] == 2
     assert tree["detector"]["1view"] == tree["detector"]["3views"]
     assert {"ap_25", "ap_50", "mask_iou", "centre_mm"} <= set(tree["detector"]["1view"])
     assert tree["view_prediction"]["psnr_db"] == 21.5 and tree["view_prediction"]["3views"]["psnr_db"] == 23.5
@@ -183,7 +185,7 @@ def test_rows_as_the_other_stages_write_them_are_read(tmp_path: Path) -> None:
     """The columns that rollouts and objects declare hold all that the report reads."""
     from oes.percept.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
     from oes.score import COLUMNS
-    from oes.trial.contest import ROWS
+    from oes.trial.outcomes import ROWS
 
     assert set(ERRORS) <= set(COLUMNS) and set(TRIALS) == set(ROWS)
     assert set(DETECTIONS) <= set(DETECTION_COLUMNS) and set(VIEWS) <= set(VIEW_COLUMNS)

@@ -10,7 +10,8 @@ import pytest
 from oes.config import load
 from oes.report.rows import TRIALS, read_columns
 from oes.rows import write_csv
-from oes.trial.contest import ROWS, Inputs, ScenarioError, Trial, Trials, run_trials, trial_rows, write_videos
+from oes.trial.contest import Inputs, ScenarioError, Trials, run_trials
+from oes.trial.outcomes import ROWS, Trial, trial_rows, write_videos
 from tests.blocks import SMOKE, make_catalogue, make_weights
 
 
@@ -38,7 +39,7 @@ def found(cfg: Trials, inputs: Inputs) -> list[Trial]:
 
 def test_rows_and_films_of_a_run(cfg: Trials, found: list[Trial], tmp_path: Path) -> None:
     targets = cfg.scenarios["targets"]
-    videos = write_videos(found, targets, cfg, tmp_path)
+    videos = write_videos(found, targets, cfg.film, cfg.num_videos, tmp_path)
     write_csv(tmp_path / "trials.csv", trial_rows(found, "targets", "graph_xyz", targets, videos), ROWS)
     rows = read_columns([tmp_path / "trials.csv"], TRIALS)
     assert rows["trial_i"].tolist() == [0, 1] * 2 and rows["planner"].tolist() == ["shooting"] * 2 + ["cem"] * 2
@@ -58,11 +59,23 @@ def test_the_same_trials_again(cfg: Trials, inputs: Inputs, found: list[Trial]) 
     assert np.array_equal(first.outcome.moments[-1].rgb_HW3, again.outcome.moments[-1].rgb_HW3)
 
 
+@pytest.mark.parametrize("model", ["visual_foresight", "planet"])
+def test_models_of_pictures_push_too(cfg: Trials, inputs: Inputs, found: list[Trial], model: str) -> None:
+    theirs = replace(inputs, dynamics=inputs.dynamics.with_name(f"pushing-{model}"))
+    trials = run_trials(replace(cfg, count=1), "targets", theirs)
+    assert [trial.planner for trial in trials] == ["shooting", "cem"]
+    for trial in trials:
+        assert trial.outcome and trial.failure == "" and found[0].task and trial.task
+        assert np.array_equal(trial.task.goal_G3, found[0].task.goal_G3)
+        assert sum(moment.chosen is not None for moment in trial.outcome.moments) == 2
+        assert trial.outcome.moments[0].belief.overhead_HW3 is not None
+
+
 def test_a_trial_that_cannot_begin_is_a_row_with_its_reason(cfg: Trials, inputs: Inputs, tmp_path: Path) -> None:
     targets = replace(cfg.scenarios["targets"], goal_m=(5.0, 6.0), max_attempts=3)
     impossible = replace(cfg, count=1, scenarios={"targets": targets})
     trials = run_trials(impossible, "targets", inputs)
-    assert write_videos(trials, targets, cfg, tmp_path) == {}
+    assert write_videos(trials, targets, cfg.film, cfg.num_videos, tmp_path) == {}
     write_csv(tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), ROWS)
     with (tmp_path / "trials.csv").open() as file:
         (row, _) = csv.DictReader(file)

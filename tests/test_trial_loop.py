@@ -18,8 +18,10 @@ from oes.objects import Objects
 from oes.sim.pushing import PushWorld
 from oes.sim.scene import Rejected, Scatter
 from oes.sim.world import Sim
-from oes.trial.loop import TOUCHED, Outcome, Planner, Planning, Track, imagine, run_trial
+from oes.trial.loop import TOUCHED, Outcome, run_trial
+from oes.trial.minds import Belief, GraphMind
 from oes.trial.obstacles import Obstacles
+from oes.trial.planner import Photos, Planner, Planning, Track
 from oes.trial.task import Scenario, Task, draw_task, generator
 from tests.blocks import make_catalogue, read_sim
 
@@ -76,11 +78,12 @@ class Oracle:
     def __init__(self, blind: set[int] = frozenset()) -> None:  # type: ignore[assignment]
         self.blind, self.cameras = blind, list[str]()
 
-    def look(self, step: Step, camera: Camera) -> Frames:
+    def look(self, step: Step, camera: Camera) -> Photos:
         self.step = step
         self.cameras.append(camera.name)
         shape = (1, camera.height_px, camera.width_px)
-        return Frames(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32), np.zeros(shape, np.uint8))
+        nothing = Frames(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32), np.zeros(shape, np.uint8))
+        return Photos(nothing, camera)
 
     def encode(self, frames: Frames, cameras: Sequence[Camera]) -> Step:
         assert len(cameras) == 1 == len(frames.rgb_VHW3)
@@ -124,7 +127,7 @@ class Shove:
 
 def _planner(sim: Sim, eyes: Oracle) -> Planner[Step]:
     rod = Rod(sim.robot.rod_radius_m, sim.robot.tip_height_m, sim.robot.workspace_m)
-    return Planner(eyes, 0.01, Shove(), rod, 0.3, PLANNING)
+    return Planner(eyes, 0.01, GraphMind(Shove()), rod, 0.3, PLANNING)
 
 
 def _run(
@@ -260,7 +263,8 @@ def test_imagining_reads_appearance_once_and_moves_what_is_in_the_way() -> None:
     proposals = Proposals(
         torch.from_numpy(tips).float(), torch.tensor([[[0.05, 0, 0]], [[0, 0.05, 0]]]), torch.zeros(2, 0)
     )
-    imagined = imagine(Shove(), objects, proposals)
+    belief = Belief(objects, objects.center_N3.numpy(), objects.size_N3.numpy(), np.ones(2, dtype=bool), None)
+    imagined = GraphMind(Shove()).imagine(belief, np.zeros((2, 3)), proposals)
     positions = imagined.position_SHN3
     assert imagined.tip_SI3[:, 1].tolist() == [pytest.approx([0.09, 0, 0.02]), pytest.approx([0, 0.15, 0.02])]
     assert positions.shape == (2, 1, 2, 3)

@@ -56,6 +56,11 @@ class GoalCost:
 
     def __call__(self, imagined: Imagined) -> Tensor:
         """Metres, SH; infinite from where the rod would leave its reach."""
+        is_out_SH = (imagined.tip_SI3[:, 1:, :2].abs() > self.scene.rod.reach_m).any(-1).cumsum(1) > 0
+        cost_SH = self._foreseen(imagined) if imagined.cost_SH is None else imagined.cost_SH
+        return cost_SH.masked_fill(is_out_SH, torch.inf)
+
+    def _foreseen(self, imagined: Imagined) -> Tensor:
         count = len(self.ways)
         xy_SHG2 = imagined.position_SHN3[:, :, :count, :2].double().numpy()
         to_go_SH = np.mean([way(xy_SHG2[:, :, i]) for i, way in enumerate(self.ways)], axis=0)
@@ -63,8 +68,7 @@ class GoalCost:
             turned_SHG22 = imagined.turned_SHN33[:, :, :count, :2, :2].double().numpy()
             touches_SH = self._object_touches(xy_SHG2, turned_SHG22) | self._rod_touches(imagined.tip_SI3)
             to_go_SH = to_go_SH + self.cfg.hit_m * np.maximum.accumulate(touches_SH, axis=1)
-        is_out_SH = (imagined.tip_SI3[:, 1:, :2].abs() > self.scene.rod.reach_m).any(-1).cumsum(1) > 0
-        return torch.from_numpy(to_go_SH).masked_fill(is_out_SH, torch.inf)
+        return torch.from_numpy(to_go_SH)
 
     def at_rest(self) -> float:
         """What it costs to do nothing."""

@@ -30,11 +30,15 @@ class Proposals:
 
 @dataclass(frozen=True)
 class Imagined:
-    """What S plans would do: the rod's way (I = H + 1 places), where each of N objects gets to and how it turns."""
+    """What S plans would do: the rod's way (I = H + 1 places), where each of N objects gets to and how it turns.
+
+    ``cost_SH``, of a model that judges for itself: metres to the goals, as it sees it.
+    """
 
     tip_SI3: Tensor
     position_SHN3: Tensor
     turned_SHN33: Tensor
+    cost_SH: Tensor | None = None
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ class Clearance:
         """``points_P2`` stand for cells of side ``cell_m``; the table is ``half_m`` wide to each side of the origin."""
         self.half_m, self.is_empty = half_m, not len(points_P2)
         line = np.arange(-half_m, half_m + GRID_M, GRID_M)
-        self._distance_XY = np.full((len(line), len(line)), np.inf)
+        self._distance_XY: Floats = np.full((len(line), len(line)), np.inf)
         if not self.is_empty:
             nodes = np.stack(np.meshgrid(line, line, indexing="ij"), -1)
-            self._distance_XY = KDTree(points_P2).query(nodes)[0] - cell_m / 2
+            self._distance_XY = np.asarray(KDTree(points_P2).query(nodes)[0]) - cell_m / 2
 
     def __call__(self, xy: Floats) -> Floats:
         """For places (..., 2); beyond the table as at its edge."""

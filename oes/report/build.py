@@ -30,6 +30,7 @@ from oes.report.strips import forecast_films
 from oes.report.study import STUDIES, VARIED, Forecasts, forecast_tables, forecasts
 from oes.report.table import Table, write_table
 from oes.report.trials import outcomes, trials_table
+from oes.report.video import copy_forecasts, video_figures, video_table
 
 FIRST = STUDIES["pushing"]  # the task of the trials, in whose scenes the prediction of views is measured
 SHEET = "contact_sheet.png"
@@ -89,12 +90,14 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
     trials = read_columns(sorted(inputs.trials.glob("*/trials.csv")), TRIALS)
     control = {scenario: outcomes(trials, scenario) for scenario in cfg.scenarios}
     views = view_figures(read_columns([inputs.objects / f"{FIRST.task}-{FIRST.splits[0]}" / "views.csv"], VIEWS))
+    video = video_figures(inputs.dynamics)
     line = chapters[FIRST.task].line
     tables = [
         *(table for chapter in chapters.values() for table in forecast_tables(chapter.found, [chapter.line])),
         *(trials_table(each, _table3(name, cfg), name, (line,)) for name, each in control.items()),
         *(_detector_table(chapter) for chapter in chapters.values()),
         view_table(views, (line,)),
+        *([video_table(video, (line,))] if video else []),
     ]
     out.mkdir(parents=True, exist_ok=True)
     for table in tables:
@@ -102,6 +105,7 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
     figures = {SHEET: "The meshes."}
     for chapter in chapters.values():
         figures |= write_figures(chapter.found, chapter.card.displacement_mm, out / "figures")
+    figures |= copy_forecasts(inputs.dynamics, video, out / "figures")
     copy_models(inputs.perception, inputs.dynamics, out / "models")
     shutil.copyfile(inputs.meshes / SHEET, out / SHEET)
     films = {
@@ -116,6 +120,7 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
         "machine": machine,
         **{key: value for chapter in chapters.values() for key, value in _tree(chapter).items()},
         "mpc": {scenario: trials_tree(each) for scenario, each in control.items()},
+        **({"video": video} if video else {}),
         "view_prediction": {**views[views_key(1)], **views},
     }
     write_json(tree, out / "metrics.json")

@@ -11,6 +11,7 @@ from safetensors.numpy import save
 from oes.report.rows import Columns, select
 from oes.weights import ordered
 
+LARGE_BYTES = 500_000
 FILMS = 2  # of successes and of failures each
 
 
@@ -36,7 +37,7 @@ def copy_half(source: Path, target: Path) -> None:
 
 
 def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
-    """``perception/`` in half precision and ``dynamics/<task>-<model>/`` as they are (some 15,000 numbers each).
+    """``perception/`` and ``dynamics/<task>-<model>/``; what is large, in half precision.
 
     Raises FileNotFoundError when there is no dynamics model.
     """
@@ -47,7 +48,7 @@ def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
     for source in models:
         target = folder / "dynamics" / source.parent.name / source.name
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, target)
+        (copy_half if source.stat().st_size > LARGE_BYTES else shutil.copyfile)(source, target)
 
 
 def copy_films(trials: Path, rows: Columns, scenario: str, model: str, folder: Path) -> list[str]:

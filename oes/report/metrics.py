@@ -57,6 +57,8 @@ def trials_tree(found: Sequence[Outcome]) -> Tree:
     tree: Tree = {}
     for outcome in found:
         tree.setdefault(outcome.model, {})[outcome.planner] = {
+            "plans": outcome.plans,
+            "horizon": outcome.horizon,
             "success": outcome.success,
             "trials": outcome.trials,
             "interval_95": outcome.interval,

@@ -7,6 +7,8 @@ MODELS = {
     "graph_xyz": "graph-XYZ",
     "graph_xyz_image": "graph-XYZ-image",
     "graph_xyz_image_fixed": "graph-XYZ-image, fixed view",
+    "visual_foresight": "Visual Foresight",
+    "planet": "PlaNet",
     "oes": "3D-OES",
     "simulator": "simulator",
 }
@@ -39,6 +41,8 @@ COLOURS = {
     "graph_xyz": "#e69f00",
     "graph_xyz_image": "#56b4e9",
     "graph_xyz_image_fixed": "#009e73",
+    "visual_foresight": "#0072b2",
+    "planet": "#cc79a7",
     "oes": "#d55e00",
     "simulator": "#000000",
 }

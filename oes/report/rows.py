@@ -32,6 +32,8 @@ TRIALS: dict[str, Kind] = {
     "scenario": str,
     "model": str,
     "planner": str,
+    "plans": int,
+    "horizon": int,
     "trial_i": int,
     "num_objects": int,
     "success": bool,

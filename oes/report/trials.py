@@ -16,10 +16,10 @@ NOTE = (
     "A trial succeeds when the mean distance of its objects to their goals is within the tolerance at the end (the "
     "paper's rule) and nothing touched an obstacle; 'success of every object' asks the distance of each. Planned from "
     "one new image of one random camera; a push that no forecast favours is not made. Planner 'shooting': the best of "
-    "random plans, as in the paper; 'cem': the cross-entropy method, three rounds of as many, the later ones around "
-    "the best of the one before. All models and planners have the same starts, goals, cameras and perception. p: exact "
-    "McNemar test on the trials paired with 3D-OES's with the same planner; after the distance at the end: Wilcoxon's "
-    "signed-rank test on them."
+    "random plans, as in the paper; 'cem': the cross-entropy method, in three rounds, the later ones around the best "
+    "of the one before. Plans x pushes: how many are imagined before each push, of how many pushes each. All models "
+    "and planners have the same starts, goals, cameras and perception. p: exact McNemar test on the trials paired "
+    "with 3D-OES's with the same planner; after the distance at the end: Wilcoxon's signed-rank test on them."
 )
 PAPERS = "shooting"  # the planner of the paper
 
@@ -33,6 +33,8 @@ class Outcome:
 
     model: str
     planner: str
+    plans: int
+    horizon: int
     trials: int
     success: float
     interval: tuple[float, float]
@@ -63,6 +65,7 @@ def trials_table(found: list[Outcome], name: str, scenario: str, notes: tuple[st
     """The outcomes, one row a planner and model."""
     header = (
         "planner",
+        "plans x pushes",
         "model",
         "trials",
         "success [95%]",
@@ -93,6 +96,8 @@ def _outcome(rows: Columns, ours: Columns, scenario: str) -> Outcome:
     return Outcome(
         model=model,
         planner=(planner := str(rows["planner"][0])),
+        plans=int(rows["plans"][0]),
+        horizon=int(rows["horizon"][0]),
         trials=len(ran),
         success=float(rows["success"].mean()),
         interval=wilson(int(rows["success"].sum()), len(ran)),
@@ -132,6 +137,7 @@ def _mean(values: NDArray[np.float64]) -> float:
 def _cells(outcome: Outcome) -> tuple[str, ...]:
     return (
         outcome.planner,
+        f"{outcome.plans} x {outcome.horizon}",
         MODELS.get(outcome.model, outcome.model),
         str(outcome.trials),
         f"{outcome.success:.2f} [{outcome.interval[0]:.2f}, {outcome.interval[1]:.2f}]",
@@ -152,6 +158,8 @@ def _record(outcome: Outcome, scenario: str) -> dict[str, object]:
         "scenario": scenario,
         "model": outcome.model,
         "planner": outcome.planner,
+        "plans": outcome.plans,
+        "horizon": outcome.horizon,
         "trials": outcome.trials,
         "success": round(outcome.success, 4),
         "low": round(outcome.interval[0], 4),

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,7 @@ from tqdm import tqdm
 
 from oes.config import params
 from oes.control.proposals import Rod
-from oes.dynamics.checkpoint import load_model
-from oes.dynamics.unroll import Model
-from oes.episode import Body, Camera, Frames, Step
+from oes.episode import Body, Camera, Step
 from oes.meshes.catalogue import Catalogue, load_catalogue
 from oes.percept.network import Scene as View
 from oes.percept.perceiver import Perceiver
@@ -27,27 +24,16 @@ from oes.sim.pushing import PushWorld
 from oes.sim.robot import robot_shape
 from oes.sim.scene import Rejected
 from oes.sim.world import Sim
-from oes.trial.loop import TOUCHED, Outcome, Planner, Planning, run_trial
-from oes.trial.pictures import Film, write_trial
-from oes.trial.task import Scenario, Task, draw_task, generator
+from oes.trial.loop import run_trial
+from oes.trial.minds import Mind, load_mind
+from oes.trial.outcomes import Trial
+from oes.trial.pictures import Film
+from oes.trial.planner import Photos, Planner, Planning
+from oes.trial.task import Scenario, draw_task, generator
+from oes.video.overhead import OverheadView
+from oes.video.shoot import OverheadCamera
 
 TASKS, CAMERAS, PLANS = range(3)  # streams of random numbers
-ROWS = (
-    "scenario",
-    "model",
-    "planner",
-    "trial_i",
-    "num_objects",
-    "success",
-    "all_success",
-    "touched",
-    "initial_mm",
-    "mean_final_mm",
-    "believed_mm",
-    "steps_used",
-    "failure",
-    "video",
-)
 
 
 class ScenarioError(ValueError):
@@ -77,17 +63,6 @@ class Inputs:
     dynamics: Path
 
 
-@dataclass(frozen=True)
-class Trial:
-    """One finished trial. ``failure`` says why it broke off, or why there is no ``outcome``, or not even a ``task``."""
-
-    planner: str
-    trial_i: int
-    task: Task | None
-    outcome: Outcome | None
-    failure: str
-
-
 def run_trials(cfg: Trials, scenario: str, inputs: Inputs) -> list[Trial]:
     """All trials of a scenario with each of its planners, in order, on ``cfg.num_workers`` processes.
 
@@ -112,9 +87,9 @@ def run_one(cfg: Trials, name: str, inputs: Inputs, planner: str, trial_i: int) 
         task = draw_task(catalogue, cfg.sim, scenario, generator(cfg.seed, name, trial_i, TASKS))
     except Rejected as error:
         return Trial(planner, trial_i, None, None, str(error))
-    agent = make_planner(cfg, _perceiver(inputs.perception), load_model(inputs.dynamics))
+    agent = make_planner(cfg, _perceiver(inputs.perception), load_mind(inputs.dynamics))
     rngs = tuple(generator(cfg.seed, name, trial_i, stream) for stream in (CAMERAS, PLANS))
-    photographer = Photographer(catalogue, cfg.sim, task.bodies)
+    photographer = Photographer(catalogue, cfg.sim, task.bodies, agent.mind.view)
     try:
         with PushWorld(catalogue, cfg.sim, scenario.settle_ms) as world:
             search = scenario.planners[planner]
@@ -124,78 +99,28 @@ def run_one(cfg: Trials, name: str, inputs: Inputs, planner: str, trial_i: int) 
     return Trial(planner, trial_i, task, outcome, outcome.failure)
 
 
-def make_planner(cfg: Trials, eyes: Perceiver, model: Model) -> Planner[View]:
-    """The planner that sees with ``eyes`` and imagines with ``model``."""
+def make_planner(cfg: Trials, eyes: Perceiver, mind: Mind) -> Planner[View]:
+    """The planner that sees with ``eyes`` and imagines with ``mind``."""
     robot = cfg.sim.robot
     rod = Rod(robot.rod_radius_m, robot.tip_height_m, robot.workspace_m)
     half_m = min(cfg.sim.physics.table_size_m[:2]) / 2
-    return Planner(eyes, eyes.net.cfg.roi.voxel_m, model, rod, half_m, cfg.planning)
+    return Planner(eyes, eyes.net.cfg.roi.voxel_m, mind, rod, half_m, cfg.planning)
 
 
 class Photographer:
-    """Takes pictures of a world's states: RGB, depth and segmentation from one camera."""
+    """Takes pictures of a world's states: RGB, depth and segmentation from one camera, and RGB from above if wanted."""
 
-    def __init__(self, catalogue: Catalogue, sim: Sim, bodies: Sequence[Body]) -> None:
+    def __init__(
+        self, catalogue: Catalogue, sim: Sim, bodies: Sequence[Body], view: OverheadView | None = None
+    ) -> None:
         table_m = np.array(sim.physics.table_size_m)
         self._renderer = Renderer(scene_meshes(table_m, robot_shape(sim.robot), bodies, catalogue))
+        self._overhead = view and OverheadCamera(catalogue, sim.physics.table_size_m, bodies, view)
 
-    def __call__(self, step: Step, camera: Camera) -> Frames:
-        """The state as ``camera`` sees it (V = 1)."""
-        return self._renderer.render(mesh_poses(step), [camera])
-
-
-def write_videos(trials: Sequence[Trial], scenario: Scenario, cfg: Trials, out: Path) -> dict[tuple[str, int], str]:
-    """Films of the first ``num_videos`` successes and failures of each planner; (planner, trial) -> file name."""
-    names: dict[tuple[str, int], str] = {}
-    for planner, is_success in product(scenario.planners, (True, False)):
-        word = "success" if is_success else "failure"
-        ran = [t for t in trials if t.planner == planner and t.outcome and t.outcome.moments]
-        for trial in [t for t in ran if _succeeds(t, scenario) == is_success][: cfg.num_videos]:
-            assert trial.task is not None and trial.outcome is not None
-            name = names[planner, trial.trial_i] = f"{planner}_{trial.trial_i:03d}_{word}.mp4"
-            verdict = trial.failure or f"{word}: {trial.outcome.final_G.mean() * 1e3:.0f} mm"
-            write_trial(trial.outcome, trial.task.goal_G3, verdict, scenario.success_m, cfg.film, out / name)
-    return names
-
-
-def trial_rows(
-    trials: Sequence[Trial], name: str, model: str, scenario: Scenario, videos: dict[tuple[str, int], str]
-) -> list[dict[str, object]]:
-    """One row a trial, of ``ROWS``; a trial that never began has no distances."""
-    return [
-        {
-            "scenario": name,
-            "model": model,
-            "planner": trial.planner,
-            "trial_i": trial.trial_i,
-            "num_objects": len(trial.task.bodies) if trial.task else 0,
-            "success": _succeeds(trial, scenario),
-            "all_success": _succeeds(trial, scenario) and _largest_m(trial) < scenario.success_m,
-            "touched": trial.failure == TOUCHED,
-            **_distances(trial.outcome),
-            "steps_used": trial.outcome.steps_used if trial.outcome else 0,
-            "failure": "" if trial.failure == TOUCHED else trial.failure,
-            "video": videos.get((trial.planner, trial.trial_i), ""),
-        }
-        for trial in trials
-    ]
-
-
-def _succeeds(trial: Trial, scenario: Scenario) -> bool:
-    """Mean true distance under the tolerance, in a trial that nothing broke off."""
-    return trial.outcome is not None and not trial.failure and bool(trial.outcome.final_G.mean() < scenario.success_m)
-
-
-def _largest_m(trial: Trial) -> float:
-    return float(trial.outcome.final_G.max()) if trial.outcome else float("inf")
-
-
-def _distances(outcome: Outcome | None) -> dict[str, str]:
-    names = ("initial_mm", "mean_final_mm", "believed_mm")
-    if outcome is None:
-        return dict.fromkeys(names, "nan")
-    values = (outcome.initial_G, outcome.final_G, outcome.believed_G)
-    return {name: f"{value.mean() * 1e3:.3f}" for name, value in zip(names, values, strict=True)}
+    def __call__(self, step: Step, camera: Camera) -> Photos:
+        """The state as ``camera`` sees it."""
+        frames = self._renderer.render(mesh_poses(step), [camera])
+        return Photos(frames, camera, self._overhead(step) if self._overhead else None)
 
 
 @lru_cache(maxsize=1)

@@ -1,0 +1,137 @@
+"""What a planner imagines with: an object graph, Visual Foresight or PlaNet; each tells what a set of pushes would do.
+
+The pictures from above that the last two look at are taken without the arm. Both know what is pushed, and where, from
+the same detections as the others; nothing else of those reaches PlaNet, and Visual Foresight designates their centres'
+pixels.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from oes.control.plan import Imagined, Proposals
+from oes.dynamics.checkpoint import load_model
+from oes.dynamics.unroll import Model, at_rest, unroll_from
+from oes.episode import Floats
+from oes.objects import Objects
+from oes.video.foresight import VisualForesight, expected, pixel_grid, unroll_pixels
+from oes.video.overhead import Overhead, OverheadView
+from oes.video.planet import PlaNet, unroll_rewards
+from oes.video.train import is_video_model, load_video_model
+
+
+@dataclass(frozen=True)
+class Belief:
+    """The task's objects as perceived; the same centres and sizes as arrays; which were seen just now; the picture from
+    above, for those who look at it."""
+
+    objects: Objects
+    center_N3: Floats
+    size_N3: Floats
+    is_seen_N: NDArray[np.bool_]
+    overhead_HW3: NDArray[np.uint8] | None
+
+
+class Mind(Protocol):
+    """A model as a planner uses it. ``view``: the picture from above that it wants, if any."""
+
+    @property
+    def view(self) -> OverheadView | None: ...
+
+    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals) -> Imagined:
+        """What the proposals would do; the goals are those of the first G objects."""
+
+
+@dataclass(frozen=True)
+class GraphMind:
+    """A graph network over the perceived objects."""
+
+    model: Model
+    view: None = None
+
+    @torch.inference_mode()
+    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals) -> Imagined:
+        """Appearance is read once."""
+        samples, objects = len(proposals.tip_S3), belief.objects
+        batched = Objects(**{name: value[None] for name, value in vars(objects).items()})
+        appearance_1NC = self.model.appearance(batched)
+        state = at_rest(batched.center_N3.expand(samples, -1, -1), batched.valid_N.expand(samples, -1))
+        appearance_SNC = appearance_1NC.expand(samples, -1, -1)
+        unrolled = unroll_from(self.model, appearance_SNC, state, proposals.tip_S3, proposals.actions_SH3)
+        position_SHN3 = objects.center_N3 + unrolled.translation_BTN3
+        return Imagined(_path(proposals), position_SHN3, unrolled.rotation_BTN33)
+
+
+@dataclass(frozen=True)
+class ForesightMind:
+    """Moves designated pixels, one an object; a plan costs their expected distance to the goals' pixels."""
+
+    net: VisualForesight
+    view: OverheadView
+
+    @torch.inference_mode()
+    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals) -> Imagined:
+        """Turns are not foreseen."""
+        above = Overhead(self.view)
+        place_N2 = torch.from_numpy(above.place(belief.center_N3)).float()
+        _, maps_SHNYX = unroll_pixels(self.net, _picture(belief), place_N2, *_pushes(above, proposals))
+        samples, horizon, count, height, width = maps_SHNYX.shape
+        place_SHN2 = torch.stack([expected(maps) for maps in maps_SHNYX.unbind(1)], 1).double().numpy()
+        height_SHN = np.broadcast_to(belief.center_N3[:, 2], place_SHN2.shape[:-1])
+        position = np.concatenate([above.ground(place_SHN2, height_SHN), height_SHN[..., None]], -1)
+        goal_G2 = torch.from_numpy(above.place(goal_G3)).float()
+        away_GYX = (pixel_grid(height, width, maps_SHNYX) - goal_G2[:, None, None]).norm(dim=-1)
+        cost_SH = (maps_SHNYX[:, :, : len(goal_G3)] * away_GYX).sum((-2, -1)).mean(-1) * self.view.half_m
+        turned = torch.eye(3).expand(samples, horizon, count, 3, 3)
+        return Imagined(_path(proposals), torch.from_numpy(position).float(), turned, cost_SH)
+
+
+@dataclass(frozen=True)
+class PlanetMind:
+    """Foretells rewards in a latent space; a plan costs minus its reward. It places no object: those seem to stay."""
+
+    net: PlaNet
+    view: OverheadView
+
+    @torch.inference_mode()
+    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals) -> Imagined:
+        """Goals are told in the order of their objects from left to right, as in training."""
+        above = Overhead(self.view)
+        order = np.argsort(above.place(belief.center_N3[: len(goal_G3)])[:, 0])[: self.net.cfg.goals]
+        goals = torch.zeros(self.net.cfg.goals, 3)
+        goals[: len(order)] = torch.from_numpy(np.column_stack([above.place(goal_G3[order]), np.ones(len(order))]))
+        rewards_SH = unroll_rewards(self.net, _picture(belief), goals, *_pushes(above, proposals))
+        position = belief.objects.center_N3.expand(*rewards_SH.shape, -1, -1)
+        turned = torch.eye(3).expand(*position.shape, 3)
+        return Imagined(_path(proposals), position, turned, -rewards_SH * self.view.half_m)
+
+
+def _path(proposals: Proposals) -> Tensor:
+    """The rod's places, SI3."""
+    tip_S13 = proposals.tip_S3[:, None]
+    return torch.cat([tip_S13, tip_S13 + proposals.actions_SH3.cumsum(1)], 1)
+
+
+def _pushes(above: Overhead, proposals: Proposals) -> tuple[Tensor, Tensor]:
+    """Where the rod starts, S2, and its displacements, SH2, as seen from above."""
+    place_SI2 = torch.from_numpy(above.place(_path(proposals).double().numpy())).float()
+    return place_SI2[:, 0], place_SI2.diff(dim=1)
+
+
+def _picture(belief: Belief) -> Tensor:
+    """3HW, 0 to 1."""
+    assert belief.overhead_HW3 is not None, "no picture from above was taken"
+    return torch.from_numpy(belief.overhead_HW3).permute(2, 0, 1).float() / 255
+
+
+def load_mind(folder: Path) -> Mind:
+    """The model in ``folder``, of whichever kind. Raises as ``load_model`` and ``load_video_model``."""
+    if is_video_model(folder):
+        net, view = load_video_model(folder)
+        return ForesightMind(net, view) if isinstance(net, VisualForesight) else PlanetMind(net, view)
+    return GraphMind(load_model(folder))

@@ -1,0 +1,115 @@
+"""The planner of a trial: photographs in, pushes out. It knows what perception sees, and has no access to a world."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from oes.config import params
+from oes.control.cost import Avoid, GoalCost, Scene
+from oes.control.plan import Plan, search
+from oes.control.proposals import Push, PushSampler, Rod, Search, footprint
+from oes.control.track import update
+from oes.episode import Camera, Floats, Frames
+from oes.objects import Objects
+from oes.trial.minds import Belief, Mind
+
+Seen = TypeVar("Seen")
+
+
+@params
+class Track:
+    """How detections become the objects of the task.
+
+    A detection belongs to an object at most ``match_m`` from where that is expected; an object never detected counts as
+    a cube of ``unseen_size_m``; mask voxels above ``mask`` (0..1) make up its footprint.
+    """
+
+    match_m: float
+    unseen_size_m: float
+    mask: float
+
+
+@params
+class Planning:
+    """What every planner has in common: which pushes it may propose, what it avoids, how it follows the objects."""
+
+    push: Push
+    avoid: Avoid
+    track: Track
+
+
+@dataclass(frozen=True)
+class Photos:
+    """What is photographed at one step: RGB-D from one camera (V = 1) and, for those who want it, RGB from above."""
+
+    frames: Frames
+    camera: Camera
+    overhead_HW3: NDArray[np.uint8] | None = None
+
+
+class Eyes(Protocol[Seen]):
+    """Perception as a trial uses it; ``oes.percept.perceiver.Perceiver`` is one."""
+
+    def encode(self, frames: Frames, cameras: Sequence[Camera]) -> Seen:
+        """Whatever the other methods need of the images."""
+
+    def detect(self, scene: Seen) -> tuple[Tensor, Tensor, Tensor]:
+        """Boxes: centres D3, sizes D3, scores D."""
+
+    def objects(
+        self,
+        scene: Seen,
+        centers_N3: Tensor,
+        sizes_N3: Tensor,
+        scores_N: Tensor,
+        frames: Frames,
+        cameras: Sequence[Camera],
+    ) -> Objects:
+        """The objects in given boxes, unbatched."""
+
+
+class Planner(Generic[Seen]):
+    """Perception, model and goals together: photographs in, pushes out. It has no access to the simulator."""
+
+    def __init__(self, eyes: Eyes[Seen], voxel_m: float, mind: Mind, rod: Rod, half_m: float, cfg: Planning) -> None:
+        """``voxel_m``: the side of the voxels of the crops that ``eyes`` gives; ``half_m``: the table's half width."""
+        self.eyes, self.voxel_m, self.mind = eyes, voxel_m, mind
+        self.rod, self.half_m, self.cfg, self.track = rod, half_m, cfg, cfg.track
+
+    def perceive(self, photos: Photos, center_N3: Floats, size_N3: Floats) -> Belief:
+        """The objects expected at ``center_N3`` with sizes ``size_N3``, as now seen (or as expected, if not seen)."""
+        frames, cameras = photos.frames, [photos.camera]
+        scene = self.eyes.encode(frames, cameras)
+        seen_center_D3, seen_size_D3, _ = (values.double().cpu().numpy() for values in self.eyes.detect(scene))
+        center_N3, size_N3, is_seen_N = update(center_N3, size_N3, seen_center_D3, seen_size_D3, self.track.match_m)
+        center, size, score = (torch.from_numpy(values).float() for values in (center_N3, size_N3, is_seen_N))
+        objects = self.eyes.objects(scene, center, size, score, frames, cameras)
+        return Belief(objects, center_N3, size_N3, is_seen_N, photos.overhead_HW3)
+
+    def choose(self, belief: Belief, goal_G3: Floats, search_cfg: Search, rng: np.random.Generator) -> Plan | None:
+        """The best push found for the first G objects, or None where none betters standing still.
+
+        The other objects are obstacles. Raises PlanError when there is nothing to choose from.
+        """
+        occupancy_NXYZ = belief.objects.crop_NCXYZ[:, 0].float().cpu().numpy()
+        shapes = [
+            footprint(center, size, occupancy, self.voxel_m, self.track.mask)
+            for center, size, occupancy in zip(belief.center_N3, belief.size_N3, occupancy_NXYZ, strict=True)
+        ]
+        scene = Scene(shapes[: len(goal_G3)], shapes[len(goal_G3) :], self.rod, self.half_m)
+        cost = GoalCost(scene, goal_G3, self.cfg.avoid)
+        sampler, headings_G = PushSampler(scene.moved, scene.obstacles, self.rod, self.cfg.push, rng), cost.headings()
+        found = search(
+            lambda elites: sampler(search_cfg, headings_G, elites),
+            lambda proposals: self.mind.imagine(belief, goal_G3, proposals),
+            cost,
+            search_cfg.rounds,
+            search_cfg.elites,
+        )
+        judges_itself = self.mind.view is not None  # then its cost is on a scale of its own
+        return found if judges_itself or found.cost < cost.at_rest() else None

@@ -1,0 +1,82 @@
+"""What a baseline has learned, on episodes it never saw: pictures, places and rewards forecast against what came."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
+
+from oes.video.clips import Clips
+from oes.video.foresight import VisualForesight, expected, unroll_pixels
+from oes.video.losses import draw_goals
+from oes.video.overhead import OverheadView
+from oes.video.planet import ACTION, PlaNet, State, distance_to_goals
+
+HORIZONS = (1, 3, 5)
+NUM_SHOWN = 4
+Row = dict[str, float | int]
+
+
+@torch.no_grad()
+def forecast_rows(
+    net: VisualForesight | PlaNet, clips: Clips, view: OverheadView
+) -> tuple[list[Row], NDArray[np.uint8]]:
+    """A row per clip and horizon, and the first forecasts as a picture: above what came, below what was forecast.
+
+    ``psnr_db`` and ``ssim`` of the forecast picture, ``still_...`` of the first picture in its place. Visual Foresight:
+    ``error_mm`` of where designated pixels are expected, ``still_mm`` if they stay. PlaNet: ``error_mm`` of the
+    distance to a random goal that its reward tells, ``still_mm`` of the distance at the start.
+    """
+    rows: list[Row] = []
+    shown = []
+    for i in range(len(clips)):
+        clip = clips.at(torch.tensor([i]))
+        made, error_mm, still_mm = (
+            _pixels(net, clip, view) if isinstance(net, VisualForesight) else _rewards(net, clip, view, i)
+        )
+        true = clip.frame_BI3HW[0]
+        for T in HORIZONS:
+            figures = _quality(made[T - 1], true[T]) | {f"still_{k}": v for k, v in _quality(true[0], true[T]).items()}
+            rows.append({"clip": i, "T": T, **figures, "error_mm": error_mm[T - 1], "still_mm": still_mm[T - 1]})
+        if i < NUM_SHOWN:
+            shown.append(torch.cat([torch.cat([*true], -1), torch.cat([true[0], *made], -1)], -2))
+    picture = (torch.cat(shown, -2).clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()
+    return rows, picture
+
+
+def _pixels(net: VisualForesight, clip: Clips, view: OverheadView) -> tuple[Tensor, list[float], list[float]]:
+    place_IN2 = clip.object_BIN2[0][:, clip.valid_BN[0]]
+    start, actions = clip.frame_BI3HW[0, 0], clip.tip_BI2.diff(dim=1)
+    made, maps = unroll_pixels(net, start, place_IN2[0], clip.tip_BI2[:, 0], actions)
+    found_TN2 = torch.stack([expected(each)[0] for each in maps.unbind(1)])
+    still_TN2 = place_IN2[:1].expand_as(found_TN2)
+    return made[0], _mm(found_TN2, place_IN2[1:], view), _mm(still_TN2, place_IN2[1:], view)
+
+
+def _mm(found_TN2: Tensor, true_TN2: Tensor, view: OverheadView) -> list[float]:
+    return [float(x) for x in (found_TN2 - true_TN2).norm(dim=-1).mean(-1) * view.half_m * 1e3]
+
+
+def _rewards(net: PlaNet, clip: Clips, view: OverheadView, seed: int) -> tuple[Tensor, list[float], list[float]]:
+    torch.manual_seed(seed)
+    objects, goal_1G3 = draw_goals(clip, net.cfg.goals, 1.0)
+    seen = net.encode(clip.frame_BI3HW[:, 0])
+    recurrent, _ = net.imagine(net.begin(1, seen), seen.new_zeros(1, ACTION))
+    state = State(recurrent, net.look(recurrent, seen, goal_1G3).mean)
+    made, error, still = [], [], []
+    start = distance_to_goals(objects[:, 0], goal_1G3)
+    for T, action in enumerate(clip.tip_BI2.diff(dim=1).unbind(1), start=1):
+        recurrent, prior = net.imagine(state, torch.cat([clip.tip_BI2[:, T - 1], action], -1))
+        state = State(recurrent, prior.mean)
+        true = distance_to_goals(objects[:, T], goal_1G3)
+        made.append(net.decode(state.features())[0])
+        error.append(float((net.rewards(state.features(), goal_1G3) + true).abs()) * view.half_m * 1e3)
+        still.append(float((start - true).abs()) * view.half_m * 1e3)
+    return torch.stack(made), error, still
+
+
+def _quality(made_3HW: Tensor, true_3HW: Tensor) -> dict[str, float]:
+    made, true = made_3HW[None].clamp(0, 1), true_3HW[None]
+    ssim = structural_similarity_index_measure(made, true, data_range=1.0)
+    assert isinstance(ssim, Tensor)
+    return {"psnr_db": float(peak_signal_noise_ratio(made, true, data_range=1.0)), "ssim": float(ssim)}

@@ -1,0 +1,190 @@
+"""The baselines that forecast pictures: their camera, their data, and that each learns a world of its own."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from oes.checkpoint import Fit
+from oes.config import load
+from oes.sim.simulate import Episodes, simulate
+from oes.video.check import forecast_rows
+from oes.video.clips import Clips, ClipsError, draw, read_clips, write_clips
+from oes.video.foresight import ForesightNet, Moves, VisualForesight, designate, expected, unroll_pixels
+from oes.video.losses import Latent, draw_goals
+from oes.video.overhead import Overhead, OverheadView
+from oes.video.planet import PlaNet, PlanetNet, distance_to_goals
+from oes.video.shoot import Overheads, make_clips
+from oes.video.train import (
+    Foresight,
+    Planet,
+    Video,
+    VideoError,
+    is_video_model,
+    load_video_model,
+    save_video_model,
+    train,
+)
+from tests.blocks import SMOKE, make_catalogue
+
+VIEW = OverheadView(side_px=64, height_m=1.5, half_m=0.32)
+FIT = Fit(
+    steps=60,
+    batch=8,
+    lr=3e-3,
+    warmup_steps=5,
+    weight_decay=0.0,
+    clip=1.0,
+    ema_decay=0.0,
+    bfloat16=False,
+    checkpoint_every_steps=60,
+    log_every_steps=20,
+    seed=0,
+)
+VIDEO = Video(
+    visual_foresight=Foresight(net=ForesightNet(channels=(8, 16, 16), flows=2), changed=10.0, fit=FIT),
+    planet=Planet(
+        net=PlanetNet(base=4, recurrent=32, stochastic=8, hidden=32, goals=2),
+        latent=Latent(free_nats=1.0, changed=20.0, goal=0.5),
+        weights={"image": 1000.0, "reward": 100.0, "kl": 1.0},
+        fit=FIT,
+    ),
+)
+
+
+def _squares(count: int, seed: int) -> Clips:
+    """A red square of 10 pixels on grey that each push carries along with the rod, which stands at its middle."""
+    rng = np.random.default_rng(seed)
+    start, push = rng.uniform(-0.4, 0.4, (count, 1, 2)), rng.uniform(-0.12, 0.12, (count, 5, 2))
+    place = torch.from_numpy(start + np.concatenate([np.zeros((count, 1, 2)), push.cumsum(1)], 1)).float()
+    frame = torch.full((count, 6, 3, 64, 64), 128, dtype=torch.uint8)
+    line = (torch.arange(64) + 0.5) / 32 - 1
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    inside = ((x - place[..., 0, None, None]).abs() < 0.16) & ((y - place[..., 1, None, None]).abs() < 0.16)
+    frame[:, :, 0][inside] = 250
+    frame[:, :, 1:].permute(0, 1, 3, 4, 2)[inside] = 20
+    return Clips(frame, place, place[:, :, None], torch.ones(count, 1, dtype=torch.bool))
+
+
+def test_the_overhead_camera_places_and_grounds_alike() -> None:
+    above = Overhead(VIEW)
+    world = np.array([[0.1, 0.2, 0.05], [-0.25, 0.0, 0.0]])
+    place = above.place(world)
+    assert place[1] == pytest.approx([-0.25 / 0.32, 0.0], abs=1e-9)
+    assert place[0, 0] > 0.1 / 0.32 and place[0, 1] < 0, "higher is nearer; +y is up in the picture"
+    assert above.ground(place, world[:, 2]) == pytest.approx(world[:, :2])
+
+
+def test_clips_of_an_episode_show_objects_where_they_are(tmp_path: Path) -> None:
+    catalogue, cfg = make_catalogue(tmp_path / "meshes"), load(SMOKE, "episodes", Episodes)
+    episode = simulate(catalogue, cfg, "pushing", "test2", 0)
+    clips = make_clips([episode], catalogue, Overheads(view=VIEW, sim=cfg.sim))
+    assert clips.frame_BI3HW.shape == (1, len(episode.steps), 3, 64, 64) and clips.valid_BN.all()
+    empty = clips.frame_BI3HW.float().amax((0, 1))
+    for place in clips.object_BIN2[0, 0]:
+        column, row = ((place + 1) * 32).long().tolist()
+        around = clips.frame_BI3HW[0, 0, :, row - 1 : row + 2, column - 1 : column + 2].float()
+        assert (around - empty[:, :1, :1]).abs().mean() > 5
+    write_clips(clips, VIEW, tmp_path / "frames.safetensors")
+    again, view = read_clips(tmp_path / "frames.safetensors")
+    assert view == VIEW and all(
+        torch.equal(a, b) for a, b in zip(vars(clips).values(), vars(again).values(), strict=True)
+    )
+    (tmp_path / "frames.safetensors").write_bytes(b"junk")
+    with pytest.raises(ClipsError, match=r"frames.safetensors: not a readable"):
+        read_clips(tmp_path / "frames.safetensors")
+
+
+def _middle(frame_3HW: Tensor) -> Tensor:
+    """Of what is red."""
+    red = (frame_3HW[0] - frame_3HW[1]).clamp(min=0)
+    line = (torch.arange(64) + 0.5) / 32 - 1
+    return torch.stack([(red.sum(0) * line).sum(), (red.sum(1) * line).sum()]) / red.sum()
+
+
+@pytest.mark.parametrize("quarter", range(4))
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_turned_clips_move_places_with_pictures(quarter: int, is_mirrored: bool) -> None:
+    clips = _squares(3, 0).at(torch.arange(3)).turned(quarter, is_mirrored)
+    for clip_i in range(3):
+        assert _middle(clips.frame_BI3HW[clip_i, 2]).tolist() == pytest.approx(
+            clips.tip_BI2[clip_i, 2].tolist(), abs=0.02
+        )
+        assert torch.equal(clips.object_BIN2[clip_i, :, 0], clips.tip_BI2[clip_i])
+
+
+def test_draws_depend_on_their_generator_alone() -> None:
+    clips = _squares(5, 0)
+    first, again, other = (draw(clips, 4, np.random.default_rng(seed)) for seed in (0, 0, 1))
+    assert torch.equal(first.frame_BI3HW, again.frame_BI3HW)
+    assert not torch.equal(first.frame_BI3HW, other.frame_BI3HW)
+    assert first.frame_BI3HW.max() <= 1
+
+
+def test_a_known_flow_moves_pixels_and_designated_ones_alike() -> None:
+    flow = torch.zeros(1, 1, 64, 64, 2)
+    flow[..., 0] = -4 / 32  # content comes from 4 pixels to the left
+    mask = torch.zeros(1, 3, 64, 64)
+    mask[:, 0] = 1
+    start = designate(torch.tensor([[[0.1, -0.2]]]), 64, 64)
+    assert expected(start)[0, 0].tolist() == pytest.approx([0.1, -0.2], abs=1e-3) and start.sum() == pytest.approx(1)
+    moved = Moves(flow, mask)(start, start)
+    assert expected(moved)[0, 0].tolist() == pytest.approx([0.1 + 4 / 32, -0.2], abs=1e-3)
+
+
+def test_visual_foresight_learns_to_carry_a_square(tmp_path: Path) -> None:
+    net, _ = train(VIDEO, "visual_foresight", _squares(64, 0), tmp_path, torch.device("cpu"))
+    assert isinstance(net, VisualForesight)
+    rows, picture = forecast_rows(net, _squares(8, 1), VIEW)
+    last = [row for row in rows if row["T"] == 3]
+    assert np.mean([row["error_mm"] for row in last]) < 0.6 * np.mean([row["still_mm"] for row in last])
+    assert np.mean([row["psnr_db"] for row in last]) > np.mean([row["still_psnr_db"] for row in last]) + 1
+    assert picture.shape == (4 * 2 * 64, 6 * 64, 3)
+
+
+def test_planet_learns_rewards_of_a_square(tmp_path: Path) -> None:
+    net, log = train(VIDEO, "planet", _squares(64, 0), tmp_path, torch.device("cpu"))
+    assert isinstance(net, PlaNet)
+    assert log[-1]["reward"] < 0.7 * log[0]["reward"] and log[-1]["image"] < log[0]["image"]
+    rows, _ = forecast_rows(net, _squares(4, 1), VIEW)
+    assert all(np.isfinite([row["error_mm"], row["psnr_db"]]).all() for row in rows)
+
+
+def test_goals_go_with_objects_from_left_to_right() -> None:
+    clips = _squares(2, 0).at(torch.arange(2))
+    objects = torch.tensor([[[0.3, 0.0], [-0.3, 0.1]]]).expand(2, 6, 2, 2)
+    clips = Clips(clips.frame_BI3HW, clips.tip_BI2, objects, torch.tensor([[True, True], [True, False]]))
+    ordered, goals = draw_goals(clips, 2, 0.5)
+    assert ordered[0, 0, :, 0].tolist() == pytest.approx([-0.3, 0.3]) and ordered[1, 0, 0, 0] == pytest.approx(0.3)
+    assert goals[:, :, 2].tolist() == [[1, 1], [1, 0]]
+    goals = torch.tensor([[[-0.3, 0.2, 1.0], [0.3, 0.3, 1.0]], [[0.3, 0.4, 1.0], [0, 0, 0]]])
+    assert distance_to_goals(ordered[:, 0], goals).tolist() == pytest.approx([0.2, 0.4])
+
+
+def test_models_on_disk(tmp_path: Path) -> None:
+    for kind, cfg in ((VisualForesight, VIDEO.visual_foresight.net), (PlaNet, VIDEO.planet.net)):
+        net = kind(cfg).eval()  # type: ignore[arg-type]
+        save_video_model(tmp_path, net, VIEW)
+        again, view = load_video_model(tmp_path)
+        assert type(again) is kind and view == VIEW and is_video_model(tmp_path)
+        assert all(
+            torch.equal(a, b) for a, b in zip(net.state_dict().values(), again.state_dict().values(), strict=True)
+        )
+    (tmp_path / "model.safetensors").write_bytes(b"junk")
+    assert not is_video_model(tmp_path)
+    with pytest.raises(VideoError, match="not a readable model"):
+        load_video_model(tmp_path)
+    with pytest.raises(VideoError, match=r"unknown model 'sora'.*planet"):
+        train(VIDEO, "sora", _squares(2, 0), tmp_path, torch.device("cpu"))
+
+
+def test_unrolled_pixels_stay_a_distribution() -> None:
+    torch.manual_seed(0)
+    net = VisualForesight(VIDEO.visual_foresight.net).eval()
+    frames, maps = unroll_pixels(
+        net, torch.rand(3, 64, 64), torch.zeros(2, 2), torch.zeros(4, 2), torch.full((4, 3, 2), 0.1)
+    )
+    assert frames.shape == (4, 3, 3, 64, 64) and maps.shape == (4, 3, 2, 64, 64)
+    assert maps.sum((-2, -1)).flatten().tolist() == pytest.approx([1.0] * 24, abs=1e-4) and maps.min() >= 0
