@@ -187,7 +187,7 @@ def test_an_object_off_the_table_ends_the_trial(catalogue: Catalogue, sim: Sim, 
     over_the_rim[0, :2, 3] = [0.32, 0.0]
     outcome = _run(world, sim, Oracle(), replace(task, world_T_obj_N44=over_the_rim), 0)
     assert outcome.failure == "an object fell off the table"
-    assert outcome.steps_used == 0 and outcome.moments == ()
+    assert outcome.steps_used == 0 and [moment.chosen for moment in outcome.moments] == [None]
 
 
 def test_nothing_to_propose_breaks_the_trial_off_with_its_reason(
@@ -220,6 +220,7 @@ def test_a_touched_obstacle_ends_the_trial(catalogue: Catalogue, sim: Sim, world
     rngs = (generator(0, "targets", 1, 1), generator(0, "targets", 1, 2))
     outcome = run_trial(world, planner.eyes.look, planner, task, AROUND, CEM, rngs)  # type: ignore[attr-defined]
     assert outcome.failure == TOUCHED and 0 < outcome.steps_used < AROUND.max_steps
+    assert len(outcome.moments) == outcome.steps_used + 1, "the film ends with what happened"
 
 
 def test_obstacles_bar_every_straight_way_and_leave_another(catalogue: Catalogue, sim: Sim) -> None:

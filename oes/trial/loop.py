@@ -79,14 +79,13 @@ def run_trial(
     initial_G = believed_G = _distance(step.center_N3, task.goal_G3)
     center_N3, size_N3 = task.center_N3, np.full_like(task.center_N3, planner.cfg.track.unseen_size_m)
     for steps_used in range(cfg.max_steps + 1):
-        if failure := _mishap(step, len(task.goal_G3)):
-            break
         camera = step.cameras[camera_rng.integers(len(step.cameras))]
         photos = photograph(step, camera)
         belief = planner.perceive(photos, center_N3, size_N3)
         believed_G = _distance(belief.center_N3, task.goal_G3)
         moments.append(Moment(photos.frames.rgb_VHW3[0], camera, belief, None))
-        if steps_used == cfg.max_steps or believed_G.max() < cfg.stop_m:
+        failure = _mishap(step, len(task.goal_G3))
+        if failure or steps_used == cfg.max_steps or believed_G.max() < cfg.stop_m:
             break
         try:
             chosen = planner.choose(belief, task.goal_G3, search_cfg, plan_rng)
