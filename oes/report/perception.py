@@ -8,7 +8,7 @@ import numpy as np
 
 from oes.measure import Boxes, average_precision
 from oes.report.rows import Columns, optional_float, read_columns, select
-from oes.report.table import Table
+from oes.report.table import Table, rounded
 
 BOX = ("x_m", "y_m", "z_m", "width_m", "depth_m", "height_m")
 DETECTIONS: dict[str, Any] = {
@@ -78,7 +78,7 @@ def detector_table(
             )
             for key, values in figures.items()
         ),
-        records=tuple({"input": key, **_rounded(values)} for key, values in figures.items()),
+        records=tuple({"input": key, **rounded(values)} for key, values in figures.items()),
         notes=notes,
     )
 
@@ -93,7 +93,7 @@ def view_table(figures: Mapping[str, Mapping[str, float]], notes: tuple[str, ...
             (key, f"{values['psnr_db']:.2f}", f"{values['ssim']:.3f}", str(values["n"]))
             for key, values in figures.items()
         ),
-        records=tuple({"input": key, **_rounded(values)} for key, values in figures.items()),
+        records=tuple({"input": key, **rounded(values)} for key, values in figures.items()),
         notes=notes,
     )
 
@@ -117,7 +117,3 @@ def _figures(rows: Columns) -> dict[str, float]:
 def _boxes(rows: Columns, scene: np.ndarray[Any, Any], keep: np.ndarray[Any, Any], prefix: str) -> Boxes:
     values = np.stack([rows[prefix + name][keep] for name in BOX], axis=1)
     return Boxes(scene[keep], values[:, :3], values[:, 3:])
-
-
-def _rounded(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: round(value, 4) for name, value in values.items()}

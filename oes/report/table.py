@@ -19,6 +19,11 @@ class Table:
     notes: tuple[str, ...]
 
 
+def rounded(values: Mapping[str, float]) -> dict[str, float]:
+    """Numbers as records hold them."""
+    return {name: round(value, 4) for name, value in values.items()}
+
+
 def markdown(table: Table) -> str:
     """A pipe table below its caption, above its notes."""
     lines = [_pipes(table.header), _pipes(["---"] * len(table.header)), *map(_pipes, table.cells)]

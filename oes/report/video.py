@@ -2,14 +2,13 @@
 comparison."""
 
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from oes.report.names import MODELS
 from oes.report.rows import Columns, Kind, read_columns, select
-from oes.report.table import Table
+from oes.report.table import Table, rounded
 
 FORECASTS: dict[str, Kind] = {
     "clip": int,
@@ -60,7 +59,7 @@ def video_table(figures: Figures, notes: tuple[str, ...]) -> Table:
             )
             for model, T, values in at
         ),
-        records=tuple({"model": model, "T": T, **_rounded(values)} for model, T, values in at),
+        records=tuple({"model": model, "T": T, **rounded(values)} for model, T, values in at),
         notes=(NOTE, *notes),
     )
 
@@ -79,7 +78,3 @@ def copy_forecasts(dynamics: Path, figures: Figures, folder: Path) -> dict[str, 
 def _means(rows: Columns) -> dict[str, float]:
     names = [name for name in FORECASTS if name not in ("clip", "T")]
     return {name: float(rows[name].mean()) for name in names} | {"n": len(rows["T"])}
-
-
-def _rounded(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: round(value, 4) for name, value in values.items()}

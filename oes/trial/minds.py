@@ -21,7 +21,7 @@ from oes.episode import Floats
 from oes.objects import Objects
 from oes.video.foresight import VisualForesight, expected, pixel_grid, unroll_pixels
 from oes.video.overhead import Overhead, OverheadView
-from oes.video.planet import PlaNet, unroll_rewards
+from oes.video.planet import PlaNet, unroll_latent
 from oes.video.train import is_video_model, load_video_model
 
 
@@ -105,7 +105,7 @@ class PlanetMind:
         order = np.argsort(above.place(belief.center_N3[: len(goal_G3)])[:, 0])[: self.net.cfg.goals]
         goals = torch.zeros(self.net.cfg.goals, 3)
         goals[: len(order)] = torch.from_numpy(np.column_stack([above.place(goal_G3[order]), np.ones(len(order))]))
-        rewards_SH = unroll_rewards(self.net, _picture(belief), goals, *_pushes(above, proposals))
+        _, rewards_SH = unroll_latent(self.net, _picture(belief), goals, *_pushes(above, proposals))
         position = belief.objects.center_N3.expand(*rewards_SH.shape, -1, -1)
         turned = torch.eye(3).expand(*position.shape, 3)
         return Imagined(_path(proposals), position, turned, -rewards_SH * self.view.half_m)

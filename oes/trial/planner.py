@@ -79,14 +79,14 @@ class Planner(Generic[Seen]):
     def __init__(self, eyes: Eyes[Seen], voxel_m: float, mind: Mind, rod: Rod, half_m: float, cfg: Planning) -> None:
         """``voxel_m``: the side of the voxels of the crops that ``eyes`` gives; ``half_m``: the table's half width."""
         self.eyes, self.voxel_m, self.mind = eyes, voxel_m, mind
-        self.rod, self.half_m, self.cfg, self.track = rod, half_m, cfg, cfg.track
+        self.rod, self.half_m, self.cfg = rod, half_m, cfg
 
     def perceive(self, photos: Photos, center_N3: Floats, size_N3: Floats) -> Belief:
         """The objects expected at ``center_N3`` with sizes ``size_N3``, as now seen (or as expected, if not seen)."""
         frames, cameras = photos.frames, [photos.camera]
         scene = self.eyes.encode(frames, cameras)
         seen_center_D3, seen_size_D3, _ = (values.double().cpu().numpy() for values in self.eyes.detect(scene))
-        center_N3, size_N3, is_seen_N = update(center_N3, size_N3, seen_center_D3, seen_size_D3, self.track.match_m)
+        center_N3, size_N3, is_seen_N = update(center_N3, size_N3, seen_center_D3, seen_size_D3, self.cfg.track.match_m)
         center, size, score = (torch.from_numpy(values).float() for values in (center_N3, size_N3, is_seen_N))
         objects = self.eyes.objects(scene, center, size, score, frames, cameras)
         return Belief(objects, center_N3, size_N3, is_seen_N, photos.overhead_HW3)
@@ -98,7 +98,7 @@ class Planner(Generic[Seen]):
         """
         occupancy_NXYZ = belief.objects.crop_NCXYZ[:, 0].float().cpu().numpy()
         shapes = [
-            footprint(center, size, occupancy, self.voxel_m, self.track.mask)
+            footprint(center, size, occupancy, self.voxel_m, self.cfg.track.mask)
             for center, size, occupancy in zip(belief.center_N3, belief.size_N3, occupancy_NXYZ, strict=True)
         ]
         scene = Scene(shapes[: len(goal_G3)], shapes[len(goal_G3) :], self.rod, self.half_m)

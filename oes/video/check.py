@@ -10,7 +10,7 @@ from oes.video.clips import Clips
 from oes.video.foresight import VisualForesight, expected, unroll_pixels
 from oes.video.losses import draw_goals
 from oes.video.overhead import OverheadView
-from oes.video.planet import ACTION, PlaNet, State, distance_to_goals
+from oes.video.planet import PlaNet, distance_to_goals, unroll_latent
 
 HORIZONS = (1, 3, 5)
 NUM_SHOWN = 4
@@ -60,19 +60,12 @@ def _mm(found_TN2: Tensor, true_TN2: Tensor, view: OverheadView) -> list[float]:
 def _rewards(net: PlaNet, clip: Clips, view: OverheadView, seed: int) -> tuple[Tensor, list[float], list[float]]:
     torch.manual_seed(seed)
     objects, goal_1G3 = draw_goals(clip, net.cfg.goals, 1.0)
-    seen = net.encode(clip.frame_BI3HW[:, 0])
-    recurrent, _ = net.imagine(net.begin(1, seen), seen.new_zeros(1, ACTION))
-    state = State(recurrent, net.look(recurrent, seen, goal_1G3).mean)
-    made, error, still = [], [], []
-    start = distance_to_goals(objects[:, 0], goal_1G3)
-    for T, action in enumerate(clip.tip_BI2.diff(dim=1).unbind(1), start=1):
-        recurrent, prior = net.imagine(state, torch.cat([clip.tip_BI2[:, T - 1], action], -1))
-        state = State(recurrent, prior.mean)
-        true = distance_to_goals(objects[:, T], goal_1G3)
-        made.append(net.decode(state.features())[0])
-        error.append(float((net.rewards(state.features(), goal_1G3) + true).abs()) * view.half_m * 1e3)
-        still.append(float((start - true).abs()) * view.half_m * 1e3)
-    return torch.stack(made), error, still
+    actions = clip.tip_BI2.diff(dim=1)
+    features, rewards = unroll_latent(net, clip.frame_BI3HW[0, 0], goal_1G3[0], clip.tip_BI2[:, 0], actions)
+    true_I = torch.stack([distance_to_goals(place, goal_1G3)[0] for place in objects.unbind(1)])
+    to_mm = view.half_m * 1e3
+    error_T, still_T = (rewards[0] + true_I[1:]).abs() * to_mm, (true_I[0] - true_I[1:]).abs() * to_mm
+    return net.decode(features[0]), error_T.tolist(), still_T.tolist()
 
 
 def _quality(made_3HW: Tensor, true_3HW: Tensor) -> dict[str, float]:

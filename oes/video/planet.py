@@ -124,20 +124,26 @@ def distance_to_goals(object_BN2: Tensor, goal_BG3: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def unroll_rewards(net: PlaNet, frame_3HW: Tensor, goal_G3: Tensor, tip_S2: Tensor, actions_SH2: Tensor) -> Tensor:
-    """Rewards SH of S plans from one picture; the mean state is imagined, as samples would only add noise."""
+def unroll_latent(
+    net: PlaNet, frame_3HW: Tensor, goal_G3: Tensor, tip_S2: Tensor, actions_SH2: Tensor
+) -> tuple[Tensor, Tensor]:
+    """States SHC and their rewards SH under S plans from one picture.
+
+    The mean state is imagined, as samples would only add noise.
+    """
     samples = len(tip_S2)
     goal_SG3 = goal_G3.expand(samples, -1, -1)
     seen = net.encode(frame_3HW[None]).expand(samples, -1)
     recurrent, _ = net.imagine(net.begin(samples, seen), seen.new_zeros(samples, ACTION))
     state = State(recurrent, net.look(recurrent, seen, goal_SG3).mean)
-    rewards = []
+    features, rewards = [], []
     for action_S2 in actions_SH2.unbind(1):
         recurrent, prior = net.imagine(state, torch.cat([tip_S2, action_S2], -1))
         state = State(recurrent, prior.mean)
-        rewards.append(net.rewards(state.features(), goal_SG3))
+        features.append(state.features())
+        rewards.append(net.rewards(features[-1], goal_SG3))
         tip_S2 = tip_S2 + action_S2
-    return torch.stack(rewards, 1)
+    return torch.stack(features, 1), torch.stack(rewards, 1)
 
 
 def _gaussian(numbers_BZ: Tensor) -> Gaussian:
