@@ -1,17 +1,15 @@
 """What a training run is made of, and its state on disk: weights, averages, moments, log; nothing is unpickled."""
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from oes.config import from_json, params, to_json
+from oes.weights import read_tensors, write_tensors
 
 Row = dict[str, float]
 
@@ -65,23 +63,14 @@ def save(training: Training, path: Path, cfg: Fit) -> None:
         tensors |= {f"ema.{name}": value for name, value in training.ema.state_dict().items()}
     for i, p in enumerate(_trained(training)):
         tensors |= {f"optimizer.{i}.{name}": value for name, value in training.optimizer.state[p].items()}
-    tensors = {name: value.detach().cpu().clone().contiguous() for name, value in tensors.items()}
+    tensors = {name: value.detach().cpu() for name, value in tensors.items()}
     about = {"format": FORMAT, "cfg": to_json(cfg), "step": str(training.step), "rows": json.dumps(training.rows)}
-    part = path.with_suffix(".part")
-    save_file(tensors, part, about)
-    os.replace(part, path)
+    write_tensors(tensors, path, about)
 
 
 def restore(training: Training, path: Path, cfg: Fit) -> None:
     """Overwrite ``training`` with what ``save`` wrote. Raises FitError naming the file and what is wrong with it."""
-    try:
-        with safe_open(path, framework="pt") as file:
-            about = file.metadata() or {}
-            tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}
-    except (SafetensorError, OSError) as error:
-        raise FitError(f"{path}: not a readable checkpoint: {error}") from error
-    if about.get("format") != FORMAT:
-        raise FitError(f"{path}: not a training checkpoint (format {about.get('format')!r}, wanted {FORMAT!r})")
+    tensors, about = read_tensors(path, FORMAT, FitError)
     if from_json(about["cfg"], Fit, str(path)) != cfg:
         raise FitError(f"{path}: written under other settings: {about['cfg']}")
     try:

@@ -5,6 +5,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
@@ -14,6 +15,21 @@ def write_tensors(tensors: Mapping[str, Tensor], path: Path, about: Mapping[str,
     part = path.with_name(f"{path.name}.part")
     part.write_bytes(ordered(save({name: value.contiguous() for name, value in tensors.items()}, dict(about))))
     os.replace(part, path)
+
+
+def read_tensors(path: Path, form: str, error: type[ValueError]) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Tensors and metadata of a file whose metadata say that its format is ``form``.
+
+    Raises ``error``, naming the file and what is wrong: missing, unreadable, of another format.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            about: dict[str, str] = file.metadata() or {}
+            if about.get("format") != form:
+                raise error(f"{path}: its format is {about.get('format')!r}, wanted {form!r}")
+            return {name: file.get_tensor(name) for name in file.keys()}, about
+    except (SafetensorError, OSError) as reason:
+        raise error(f"{path}: not a readable safetensors file: {' '.join(str(reason).split())[:200]}") from reason
 
 
 def ordered(content: bytes) -> bytes:

@@ -89,7 +89,7 @@ def test_broken_and_foreign_weights_are_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="not a readable"):
         Perceiver.load(path)
     save_file({"a": torch.zeros(1)}, path)
-    with pytest.raises(CheckpointError, match="format None"):
+    with pytest.raises(CheckpointError, match="format is None"):
         Perceiver.load(path)
     seer = perceiver()
     seer.save(path)

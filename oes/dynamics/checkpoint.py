@@ -2,15 +2,14 @@
 
 from pathlib import Path
 
-from safetensors import SafetensorError, safe_open
-from torch import Tensor, nn
+from torch import nn
 
 from oes.config import from_json, to_json
 from oes.dynamics import MODELS
 from oes.dynamics.bounds import Simulator
 from oes.dynamics.models import Learned, Net, Seen
 from oes.dynamics.unroll import Model
-from oes.weights import write_tensors
+from oes.weights import read_tensors, write_tensors
 
 FILE = "model.safetensors"
 FORMAT = "oes-dynamics-1"
@@ -44,9 +43,9 @@ def load_model(folder: Path) -> Model:
 def load(folder: Path) -> Model | Simulator:
     """Whatever model is in ``folder``. Raises as ``load_model``."""
     path = folder / FILE
-    about, tensors = _read(path)
-    if about.get("format") != FORMAT:
-        raise CheckpointError(f"{path}: not a dynamics model (format {about.get('format')!r}, wanted {FORMAT!r})")
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such model")
+    tensors, about = read_tensors(path, FORMAT, CheckpointError)
     if about.get("model") not in MODELS:
         raise CheckpointError(f"{path}: unknown model {about.get('model')!r}; there are: {', '.join(MODELS)}")
     kind = MODELS[about["model"]]
@@ -62,14 +61,3 @@ def load(folder: Path) -> Model | Simulator:
         raise CheckpointError(f"{path}: its weights do not fit its config: {error}") from error
     assert isinstance(model, Model | Simulator)
     return model.eval().requires_grad_(False)
-
-
-def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """Metadata and tensors of a safetensors file."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such model")
-    try:
-        with safe_open(path, framework="pt") as file:
-            return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}
-    except SafetensorError as error:
-        raise CheckpointError(f"{path}: not a readable safetensors file: {error}") from error

@@ -7,7 +7,6 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from oes.config import ParamsError, from_json, to_json
@@ -18,7 +17,7 @@ from oes.objects import Objects
 from oes.percept.blocks import half_precision
 from oes.percept.lift import SIGNED, UNSEEN, Views, lift, views_of
 from oes.percept.network import Network, PerceptionNet, Scene
-from oes.weights import write_tensors
+from oes.weights import read_tensors, write_tensors
 
 FORMAT = "oes-perception-2"
 IMAGE_PX = 32
@@ -164,16 +163,9 @@ def _image_crop(corners_N83: Tensor, rgb_HW3: NDArray[np.uint8], camera: Camera)
 
 def _read(path: Path) -> tuple[Network, dict[str, Tensor]]:
     """Config and weights of a file of ours."""
+    tensors, about = read_tensors(path, FORMAT, CheckpointError)
     try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}
-    except (SafetensorError, OSError) as error:
-        raise CheckpointError(f"{path}: not a readable safetensors file: {_first_line(error)}") from error
-    if metadata.get("format") != FORMAT:
-        raise CheckpointError(f"{path}: format {metadata.get('format')!r}, expected {FORMAT!r}")
-    try:
-        return from_json(metadata.get("config", ""), Network, str(path)), tensors
+        return from_json(about.get("config", ""), Network, str(path)), tensors
     except ParamsError as error:
         raise CheckpointError(f"{path}: stored config is not of this version: {error}") from error
 

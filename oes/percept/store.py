@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from oes.objects import Objects
-from oes.weights import write_tensors
+from oes.weights import read_tensors, write_tensors
 
 FORMAT = "oes-objects-2"
 DTYPES = {
@@ -131,20 +130,15 @@ def write_objects(path: Path, tensors: dict[str, Tensor], settings: Sequence[str
 
 def read_objects(path: Path) -> ObjectStore:
     """Read a whole file. Raises ObjectsError: missing, unreadable, foreign, or tensors that do not belong together."""
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}
-    except (SafetensorError, OSError) as error:
-        raise ObjectsError(f"{path}: not a readable safetensors file: {error}") from error
-    if metadata.get("format") != FORMAT or {name: value.dtype for name, value in tensors.items()} != DTYPES:
+    tensors, about = read_tensors(path, FORMAT, ObjectsError)
+    if {name: value.dtype for name, value in tensors.items()} != DTYPES:
         raise ObjectsError(f"{path}: not an objects file of this version ({FORMAT})")
     counts = torch.bincount(tensors["draw_O"].long(), minlength=len(tensors["episode_D"]))
     lengths = {len(tensors[name]) for name in DTYPES if "_O" in name}
     if len(lengths) != 1 or len(counts) != len(tensors["episode_D"]) or (tensors["draw_O"].diff() < 0).any():
         raise ObjectsError(f"{path}: objects and draws do not belong together")
     start_D = torch.cat([torch.zeros(1, dtype=torch.int64), counts.cumsum(0)])
-    return ObjectStore(tuple(json.loads(metadata["settings"])), tensors, start_D)
+    return ObjectStore(tuple(json.loads(about["settings"])), tensors, start_D)
 
 
 def _padded(tensor_NV: Tensor, num_views: int) -> Tensor:

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from oes.config import from_json, to_json
 from oes.video.overhead import OverheadView
-from oes.weights import write_tensors
+from oes.weights import read_tensors, write_tensors
 
 FORMAT = "oes-frames-1"
 
@@ -70,12 +69,5 @@ def write_clips(clips: Clips, view: OverheadView, path: Path) -> None:
 
 def read_clips(path: Path) -> tuple[Clips, OverheadView]:
     """What ``write_clips`` wrote. Raises ClipsError."""
-    try:
-        with safe_open(path, framework="pt") as file:
-            about = file.metadata() or {}
-            if about.get("format") != FORMAT:
-                raise ClipsError(f"{path}: not a file of frames (wanted format {FORMAT!r})")
-            clips = Clips(**{name: file.get_tensor(name) for name in Clips.__dataclass_fields__})
-            return clips, from_json(about["view"], OverheadView, f"{path}: view")
-    except (SafetensorError, OSError) as error:
-        raise ClipsError(f"{path}: not a readable file of frames: {error}") from error
+    tensors, about = read_tensors(path, FORMAT, ClipsError)
+    return Clips(**tensors), from_json(about["view"], OverheadView, f"{path}: view")

@@ -15,7 +15,7 @@ from oes.video.foresight import ForesightNet, VisualForesight
 from oes.video.losses import Latent, foresight_loss, planet_loss
 from oes.video.overhead import OverheadView
 from oes.video.planet import PlaNet, PlanetNet
-from oes.weights import write_tensors
+from oes.weights import read_tensors, write_tensors
 
 VideoModel = VisualForesight | PlaNet
 FILE = "model.safetensors"
@@ -102,14 +102,9 @@ def is_video_model(folder: Path) -> bool:
 def load_video_model(folder: Path) -> tuple[VideoModel, OverheadView]:
     """The model in ``folder`` (eval mode) and its camera. Raises VideoError naming the file and what is wrong."""
     path = folder / FILE
-    try:
-        with safe_open(path, framework="pt") as file:
-            about = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}
-    except (SafetensorError, OSError) as error:
-        raise VideoError(f"{path}: not a readable model: {error}") from error
-    if about.get("format") != FORMAT or about.get("model") not in VIDEO_MODELS:
-        raise VideoError(f"{path}: not a video model (format {about.get('format')!r}, wanted {FORMAT!r})")
+    tensors, about = read_tensors(path, FORMAT, VideoError)
+    if about.get("model") not in VIDEO_MODELS:
+        raise VideoError(f"{path}: unknown model {about.get('model')!r}; there are: {', '.join(VIDEO_MODELS)}")
     model: VideoModel
     if about["model"] == "planet":
         model = PlaNet(from_json(about["net"], PlanetNet, f"{path}: net"))
