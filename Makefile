@@ -8,7 +8,7 @@ PROFILE ?= default
 VENV := $(CURDIR)/.venv
 READY := .venv/.ready-$(shell cksum < requirements.lock | cut -d' ' -f1)
 HERE := $(if $(filter default,$(PROFILE)),.,build/$(PROFILE))
-STAGES := meshes episodes perception objects dynamics rollouts frames video trials tables
+STAGES := meshes episodes perception objects dynamics rollouts futures frames video trials tables
 
 export PATH := $(VENV)/bin:$(PATH)
 export DVC_NO_ANALYTICS := 1
@@ -58,6 +58,7 @@ perception: ## train views -> 3D -> boxes and masks
 objects: ## what perception sees in every episode
 dynamics: ## train every model of how objects move
 rollouts: ## every model's errors on held-out episodes
+futures: ## the future imagined, of scenes as they were and changed, as pictures from any side
 frames: ## what a camera above the table sees, for the baselines that forecast pictures
 video: ## train those: Visual Foresight and PlaNet
 trials: ## pushing to targets, and around obstacles, in closed loop

@@ -69,6 +69,20 @@ class Picture:
         cv2.putText(self.pixels, text, (4, height), cv2.FONT_HERSHEY_SIMPLEX, scale, INK, 1, cv2.LINE_AA)
 
 
+def sheet(rows: Sequence[tuple[str, Sequence[Pixels]]]) -> Pixels:
+    """Rows of equal tiles H W 3 side by side, each behind a dark field with its name, one word a line."""
+    return np.vstack([np.hstack([_name(text, *tiles[0].shape[:2]), *tiles]) for text, tiles in rows])
+
+
+def _name(text: str, height: int, width: int) -> Pixels:
+    """A field half as wide as a tile."""
+    field = np.zeros((height, width // 2, 3), dtype=np.uint8)
+    for line_i, word in enumerate(text.split()):
+        place = (height // 32, (line_i + 1) * height // 9)
+        cv2.putText(field, word, place, cv2.FONT_HERSHEY_SIMPLEX, height / 350, INK, 1, cv2.LINE_AA)
+    return field
+
+
 def write_video(pictures: Iterable[Pixels], path: Path, pictures_per_s: int) -> None:
     """H.264 in MP4 of equally sized H W 3 pictures (even H and W); the same pictures give the same bytes."""
     with av.open(str(path), "w", options={"fflags": "+bitexact"}) as container:

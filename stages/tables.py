@@ -15,12 +15,13 @@ def main(
     objects: Path,
     dynamics: Path,
     rollouts: Path,
+    futures: Path,
     trials: Path,
     out: Path,
 ) -> None:
     """Write everything into ``out``."""
-    inputs = Inputs(meshes, episodes, perception, objects, dynamics, rollouts, trials)
-    with work_dir(out, (cfg, [rollouts, trials, objects, dynamics, perception])) as work:
+    inputs = Inputs(meshes, episodes, perception, objects, dynamics, rollouts, futures, trials)
+    with work_dir(out, (cfg, [rollouts, futures, trials, objects, dynamics, perception])) as work:
         build(cfg, inputs, read_seeds(PARAMS), work)
         publish(work, out)
 

@@ -19,7 +19,7 @@ from oes.stage import imports, reached
 ORDER = (
     "config", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "stage", "fit", "film",
     "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics", "video", "control",
-    "rollout", "score", "trial", "evaluate", "demo",
+    "rollout", "score", "imagine", "trial", "evaluate", "demo",
 )  # fmt: skip
 
 # Libraries that only some packages may import.
@@ -41,6 +41,7 @@ OWNERS = {
         "video",
         "control",
         "rollout",
+        "imagine",
         "trial",
         "evaluate",
     }

@@ -1,6 +1,7 @@
 """A small, complete set of what the stages leave for the report, made up."""
 
 import json
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from PIL import Image
 from safetensors.numpy import save_file
 
 from oes.report.build import Inputs
+from oes.report.futures import CONSISTENCY, EDITS, FILES, RENDERS
 from oes.report.names import MODELS, SETTINGS
 from oes.report.perception import BOX, DETECTIONS
 from oes.report.rows import ERRORS, TRIALS
@@ -30,7 +32,7 @@ TILE_PX = 25
 
 def make_inputs(root: Path) -> Inputs:
     """The datasets of all stages under ``root``, of both tasks."""
-    names = ("meshes", "episodes", "perception", "objects", "dynamics", "rollouts", "trials")
+    names = ("meshes", "episodes", "perception", "objects", "dynamics", "rollouts", "futures", "trials")
     found = Inputs(**{name: root / name for name in names})
     for task in SCENES:
         write_errors(found.rollouts, task)
@@ -39,6 +41,8 @@ def make_inputs(root: Path) -> Inputs:
             write_strips(found.rollouts / f"{task}-{model}" / "scenes", num_scenes=2)
     for name in ("pushing-test2", "falling-test3", "falling-test4"):
         write_perception(found.objects / name)
+    for task in SCENES:
+        write_futures(found.futures / task)
     write_trials(found.trials)
     for folder in (found.meshes, found.perception, found.dynamics / "pushing-oes"):
         folder.mkdir(parents=True)
@@ -49,6 +53,27 @@ def make_inputs(root: Path) -> Inputs:
     save_file(weights, found.dynamics / "pushing-oes" / "model.safetensors", about)
     write_forecasts(found.dynamics / "pushing-planet")
     return found
+
+
+def write_futures(folder: Path) -> None:
+    """Two episodes: 3D-OES is better than graph-XYZ by a factor, and its error grows with T."""
+    (folder / "gallery").mkdir(parents=True)
+    rows: dict[str, list[dict[str, object]]] = {name: [] for name in FILES}
+    for episode_i, T, (size, word) in product((0, 1), (1, 3, 5), enumerate(("oes", "graph_xyz"), start=1)):
+        about = {"episode_i": episode_i, "T": T}
+        pictures = (20.0 + episode_i, 0.8, 15.0 if episode_i else "", 0.1 * T * size)
+        rows["renders"].append(about | dict(zip(tuple(RENDERS)[2:], (word, *pictures), strict=True)))
+        rows["consistency"].append(
+            about | dict(zip(tuple(CONSISTENCY)[2:], (word, 2 + episode_i, 9.0, ""), strict=True))
+        )
+        rows["edits"] += [
+            about | dict(zip(tuple(EDITS)[2:], (kind, word, 2.0 * T * size, T * size), strict=True))
+            for kind in ("none", "move")
+        ]
+    for name, (kinds, _) in FILES.items():
+        write_csv(folder / f"{name}.csv", rows[name], list(kinds))
+    for name in ("forecast-000000.png", "views-000000.png", "views-000000.mp4", "edits-000000.png"):
+        (folder / "gallery" / name).write_bytes(b"picture")
 
 
 def write_forecasts(folder: Path) -> None:

@@ -5,7 +5,7 @@ import torch
 
 from oes.geom.se3 import inverse, transform
 from oes.geom.voxels import centers
-from oes.percept.decoder import Field, composite, crossing, march, rays_of
+from oes.percept.rays import Field, composite, crossing, march, rays_of
 from tests.percept_scenes import GRID, SIZES, TABLE, BoxWorld
 
 

@@ -37,7 +37,8 @@ def reports(inputs: Inputs, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_everything_is_there(reports: Path) -> None:
     pushing = ("table1", "table3", "by-objects", "by-views", "detector", "view-prediction", "video")
-    for name in (*pushing, "table2", "by-objects-falling", "detector-falling"):
+    imagined = ("futures", "consistency", "counterfactuals")
+    for name in (*pushing, *imagined, "table2", "by-objects-falling", "detector-falling"):
         for suffix in ("md", "csv", "tex"):
             text = (reports / f"{name}.{suffix}").read_text()
             assert len(text) > 50, (name, suffix)
@@ -46,7 +47,9 @@ def test_everything_is_there(reports: Path) -> None:
     figures = {path.name for path in (reports / "figures").iterdir()}
     both = ("error-over-time", "by-objects", "displacement")
     stems = (*both, "by-views", *(f"{stem}-falling" for stem in both))
-    assert figures == {f"{stem}.{kind}" for stem in stems for kind in ("png", "svg")} | {"forecasts-planet.png"}
+    gallery = {f"imagined-{task}-{kind}-000000.png" for task in CFG.tasks for kind in ("forecast", "views", "edits")}
+    gallery |= {f"imagined-{task}-views-000000.mp4" for task in CFG.tasks} | {"forecasts-planet.png"}
+    assert figures == {f"{stem}.{kind}" for stem in stems for kind in ("png", "svg")} | gallery
     films = {path.name for path in (reports / "films").iterdir()}
     stems = ("targets-trial_000", "targets-trial_005", "rollouts-pushing", "rollouts-falling")
     assert films == {f"{stem}.{kind}" for stem in stems for kind in ("mp4", "gif")}
@@ -90,6 +93,25 @@ def test_metrics_json_has_the_agreed_shape(reports: Path) -> None:
     assert ratio["interval_95"][0] <= ratio["ratio"] == pytest.approx(2.5, rel=0.1)
 
 
+def test_imagined_futures_are_told_as_means_and_intervals(reports: Path) -> None:
+    tree = json.loads((reports / "metrics.json").read_text())["futures"]
+    assert set(tree) == set(CFG.tasks) and set(tree["pushing"]) == {"renders", "consistency", "edits"}
+    ours = tree["falling"]["renders"]["oes"]["5"]
+    assert ours == {"psnr_db": 20.5, "ssim": 0.8, "objects_psnr_db": 15.0, "feature_error": 0.5, "n": 2}
+    assert tree["pushing"]["consistency"]["oes"]["1"] == {
+        "views_found": 2.5,
+        "centre_mm": 9.0,
+        "spread_mm": None,
+        "n": 2,
+    }
+    assert tree["pushing"]["edits"]["move"]["graph_xyz"]["5"]["translation_mm"] == 20.0
+    lines = (reports / "counterfactuals.md").read_text().splitlines()
+    (row,) = [line for line in lines if line.startswith("| falling | one object moved")]
+    assert "| 20.0 [20.0, 20.0] | 10.0 [10.0, 10.0] | 10.0 [10.0, 10.0] | 5.0 [5.0, 5.0] | 2 |" in row
+    pictures = (reports / "futures.md").read_text()
+    assert "| pushing | 3D-OES | 20.5 / 20.5 / 20.5 | 15.0 / 15.0 / 15.0 | 0.800 /" in pictures
+
+
 def test_metrics_json_tells_of_falls_in_the_same_form(reports: Path) -> None:
     tree = json.loads((reports / "metrics.json").read_text())
     assert set(tree["falling"]) == {"1view_pred", "1view_gt"}
@@ -113,6 +135,7 @@ def test_pushing_alone_is_told_as_before(inputs: Inputs, reports: Path, tmp_path
     build(replace(CFG, tasks=("pushing",)), inputs, {"trials": 0}, tmp_path)
     alone, both = (json.loads((folder / "metrics.json").read_text()) for folder in (tmp_path, reports))
     more = {"falling", "ratio_falling", "falling_by_objects", "detector_falling", "capture_falling"}
+    assert alone.pop("futures") == {"pushing": both.pop("futures")["pushing"]}
     assert alone == {key: value for key, value in both.items() if key not in more} and more < both.keys()
     assert not list(tmp_path.rglob("*falling*")) and not (tmp_path / "table2.md").exists()
     assert (tmp_path / "table1.md").read_bytes() == (reports / "table1.md").read_bytes()

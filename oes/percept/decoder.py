@@ -3,20 +3,19 @@
 Around and behind the scene map stands a coarser backdrop, lifted from the same views: most of the arm is there.
 """
 
-from dataclasses import dataclass
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from oes.config import params
-from oes.geom.se3 import transform
-from oes.geom.voxels import Grid, centers, fold_order, sample, unfold
+from oes.geom.voxels import Grid, centers, fold_order, unfold
 from oes.percept.blocks import UNet
 from oes.percept.lift import NUM_GEOMETRY, Lift, Views, lift
+from oes.percept.rays import CLEAR_LOGIT, Field, Rays, composite, crossing, march, rays_of
 
 NUM_RAY_CHANNELS = 8
-CLEAR_LOGIT, DENSE_LOGIT = 3.0, 10.0
+MIN_OPACITY = 1e-3
+DENSE_LOGIT = 10.0
 MEMORY_GAIN = 10.0  # one voxel learns alone what a shared weight learns from many: it must move faster
 
 
@@ -42,22 +41,6 @@ class Decoder:
     num_samples: int
     channels: int
     backdrop: Backdrop
-
-
-@dataclass(frozen=True)
-class Field:
-    """A volume BCXYZ on a grid; channel 0 is a density, the others are what it looks like."""
-
-    volume_BCXYZ: Tensor
-    grid: Grid
-
-
-@dataclass(frozen=True)
-class Rays:
-    """Rays of one image a scene: world origin B3, unit directions BP3."""
-
-    origin_B3: Tensor
-    direction_BP3: Tensor
 
 
 class FieldHead(nn.Module):
@@ -125,14 +108,34 @@ class ViewDecoder(nn.Module):
         self, near: Field, backdrop: Field, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
     ) -> Tensor:
         """RGB BHW3, about [0, 1], as the cameras see it; ``size`` is (height, width), divisible by the stride."""
+        return self._refined(self._blocks(near, backdrop, K_B33, world_T_cam_B44, size), size)
+
+    def rgbd(
+        self, near: Field, backdrop: Field, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
+    ) -> tuple[Tensor, Tensor]:
+        """As ``forward``, and the depth BHW: z in metres of what is seen on average, one for each block of pixels."""
+        blocks = self._blocks(near, backdrop, K_B33, world_T_cam_B44, size)
+        opacity, distance = blocks[:, -NUM_RAY_CHANNELS], blocks[:, 1 - NUM_RAY_CHANNELS]
+        forward = (blocks[:, -3:] * world_T_cam_B44[:, :3, 2, None, None]).sum(1)
+        depth = forward * distance / opacity.clamp(min=MIN_OPACITY)
+        stride = self.cfg.stride_px
+        return self._refined(blocks, size), depth.repeat_interleave(stride, 1).repeat_interleave(stride, 2)
+
+    def _blocks(
+        self, near: Field, backdrop: Field, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
+    ) -> Tensor:
+        """What ``_seen`` finds for every block of pixels, as images BCHW."""
         height, width = size[0] // self.cfg.stride_px, size[1] // self.cfg.stride_px
         with torch.autocast(K_B33.device.type, enabled=False):  # bfloat16 has too few digits for rays
             rays = rays_of(K_B33, world_T_cam_B44, (height, width), self.cfg.stride_px)
-            seen = self._seen(near, backdrop, rays).transpose(1, 2).reshape(len(K_B33), -1, height, width)
-        x = F.relu(self.first(seen.contiguous(memory_format=torch.channels_last)))
+            return self._seen(near, backdrop, rays).transpose(1, 2).reshape(len(K_B33), -1, height, width)
+
+    def _refined(self, blocks_BCHW: Tensor, size: tuple[int, int]) -> Tensor:
+        """RGB BHW3 from the blocks: their colours, enlarged, and what the 2D net adds."""
+        x = F.relu(self.first(blocks_BCHW.contiguous(memory_format=torch.channels_last)))
         for conv in self.middle:
             x = F.relu(x + conv(x))
-        colors = F.interpolate(seen[:, :3], size=size, mode="bilinear", align_corners=False)
+        colors = F.interpolate(blocks_BCHW[:, :3], size=size, mode="bilinear", align_corners=False)
         return (colors + F.pixel_shuffle(self.last(x).float(), self.cfg.stride_px)).movedim(1, -1)
 
     def _seen(self, near: Field, backdrop: Field, rays: Rays) -> Tensor:
@@ -155,43 +158,3 @@ class ViewDecoder(nn.Module):
 def _conv(inputs: int, outputs: int) -> nn.Conv2d:
     """3x3 convolution that keeps the size and continues the image past its border."""
     return nn.Conv2d(inputs, outputs, 3, padding=1, padding_mode="replicate")
-
-
-def march(field: Field, rays: Rays, chord: tuple[Tensor, Tensor], count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """``count`` samples between two distances BP of each ray: features BPSC, optical thickness BPS, distance BPS."""
-    start, length = chord[0], chord[1] - chord[0]
-    steps = (torch.arange(count, device=start.device) + 0.5) / count
-    distance = start[..., None] + length[..., None] * steps
-    points = rays.origin_B3[:, None, None] + rays.direction_BP3[:, :, None] * distance[..., None]
-    values = sample(field.volume_BCXYZ, field.grid, points.flatten(1, 2)).reshape(*distance.shape, -1)
-    thickness = F.softplus(values[..., 0] - CLEAR_LOGIT) * (length / count / field.grid.voxel_m)[..., None]
-    return values[..., 1:], thickness, distance
-
-
-def composite(features_BPSC: Tensor, thickness_BPS: Tensor, distance_BPS: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """What is seen along each ray: features BPC, distance BP (both weighted by visibility) and opacity BP."""
-    passed = torch.cat([torch.zeros_like(thickness_BPS[..., :1]), thickness_BPS.cumsum(-1)], dim=-1).neg().exp()
-    weight = passed[..., :-1] - passed[..., 1:]
-    features = (weight[..., None] * features_BPSC).sum(-2)
-    return features, (weight * distance_BPS).sum(-1), 1 - passed[..., -1]
-
-
-def rays_of(K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int], stride_px: int) -> Rays:
-    """The rays through the centres of stride x stride pixel blocks, row by row; ``size`` counts the blocks."""
-    rows, columns = (torch.arange(count, device=K_B33.device) * stride_px + stride_px / 2 for count in size)
-    v, u = torch.meshgrid(rows, columns, indexing="ij")
-    pix = torch.stack([u, v, torch.ones_like(u)], dim=-1).reshape(1, -1, 3)
-    rays_cam = pix @ torch.linalg.inv(K_B33).transpose(1, 2)
-    origin = world_T_cam_B44[:, :3, 3]
-    return Rays(origin, F.normalize(transform(world_T_cam_B44, rays_cam) - origin[:, None], dim=-1))
-
-
-def crossing(rays: Rays, grid: Grid) -> tuple[Tensor, Tensor]:
-    """Distances BP at which rays enter and leave the grid's box; equal (a chord of no length) where they miss it."""
-    low = rays.origin_B3.new_tensor(grid.min_m)
-    high = low + rays.origin_B3.new_tensor(grid.size_m)
-    safe = torch.where(rays.direction_BP3.abs() < 1e-6, 1e-6, rays.direction_BP3)
-    first, second = (low - rays.origin_B3)[:, None] / safe, (high - rays.origin_B3)[:, None] / safe
-    near = torch.minimum(first, second).amax(-1).clamp(min=0)
-    far = torch.maximum(first, second).amin(-1)
-    return near, torch.maximum(near, far)

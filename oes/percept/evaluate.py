@@ -101,10 +101,14 @@ def detector_figures(rows: Sequence[Row]) -> dict[str, float]:
 
 
 def view_row(perceiver: Perceiver, scene: Scene, frames: Frames, camera: Camera) -> Row:
-    """PSNR (dB) and SSIM of the view predicted for ``camera`` against the only image of ``frames``."""
+    """How good the view predicted for ``camera`` is, against the only image of ``frames``."""
+    return {**picture_quality(perceiver.render(scene, camera), frames.rgb_VHW3[0])}
+
+
+def picture_quality(guess_HW3: NDArray[np.uint8], true_HW3: NDArray[np.uint8]) -> dict[str, float]:
+    """``psnr_db`` and ``ssim`` of one picture against another."""
     guess, true = (
-        torch.from_numpy(np.array(image)).movedim(-1, 0)[None].float() / 255
-        for image in (perceiver.render(scene, camera), frames.rgb_VHW3[0])
+        torch.from_numpy(np.array(image)).movedim(-1, 0)[None].float() / 255 for image in (guess_HW3, true_HW3)
     )
     ssim = structural_similarity_index_measure(guess, true, data_range=1.0)
     assert isinstance(ssim, Tensor)

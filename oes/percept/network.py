@@ -9,9 +9,10 @@ from torch import Tensor, nn
 from oes.config import params
 from oes.geom.voxels import Grid, centers, fold_order, unfold
 from oes.percept.blocks import UNet
-from oes.percept.decoder import BackdropNet, Decoder, Field, FieldHead, ViewDecoder
+from oes.percept.decoder import BackdropNet, Decoder, FieldHead, ViewDecoder
 from oes.percept.detector import RARE_LOGIT, Detector, DetectorHead, apply_deltas, peaks, suppress
 from oes.percept.lift import NUM_GEOMETRY, Lift, Views, lift
+from oes.percept.rays import Field
 from oes.percept.roi import Roi, RoiHead, RoiOutput
 
 

@@ -17,6 +17,7 @@ from oes.objects import Objects
 from oes.percept.blocks import half_precision
 from oes.percept.lift import SIGNED, UNSEEN, Views, lift, views_of
 from oes.percept.network import Network, PerceptionNet, Scene
+from oes.percept.rays import Field
 from oes.weights import read_tensors, write_tensors
 
 FORMAT = "oes-perception-2"
@@ -110,13 +111,28 @@ class Perceiver:
         return objects_of(boxes, scores_N.float().cpu(), crops, frames, cameras)
 
     @torch.inference_mode()
+    def fields(self, scene: Scene) -> tuple[Field, Field]:
+        """What can be rendered of one scene: its map, and what surrounds it."""
+        with half_precision(self.device):
+            near = Field(self.net.scene_map(scene), self.net.cfg.grid)
+            return near, self.net.backdrop(scene.views, scene.features_BVHWC)
+
+    @torch.inference_mode()
+    def look(self, near: Field, backdrop: Field, cameras: Sequence[Camera]) -> Frames:
+        """The images (RGB and depth, nothing segmented) that cameras of one size would see of one scene's fields."""
+        K_V33 = torch.from_numpy(np.stack([camera.K_33 for camera in cameras])).float().to(self.device)
+        poses_V44 = torch.from_numpy(np.stack([camera.world_T_cam_44 for camera in cameras])).float().to(self.device)
+        nears, backdrops = near.repeated(len(cameras)), backdrop.repeated(len(cameras))
+        size = (cameras[0].height_px, cameras[0].width_px)
+        with half_precision(self.device):
+            rgb, depth = self.net.decoder.rgbd(nears, backdrops, K_V33, poses_V44, size)
+        rgb_VHW3 = (rgb.clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
+        return Frames(rgb_VHW3, depth.float().cpu().numpy(), np.zeros(rgb_VHW3.shape[:3], dtype=np.uint8))
+
     def render(self, scene: Scene, camera: Camera) -> NDArray[np.uint8]:
         """The image HW3 that the camera would see of one scene."""
-        K = torch.from_numpy(camera.K_33).float()[None].to(self.device)
-        world_T_cam = torch.from_numpy(camera.world_T_cam_44).float()[None].to(self.device)
-        with half_precision(self.device):
-            image = self.net.render(scene, K, world_T_cam, (camera.height_px, camera.width_px))[0]
-        return (image.clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
+        image: NDArray[np.uint8] = self.look(*self.fields(scene), [camera]).rgb_VHW3[0]
+        return image
 
 
 def objects_of(

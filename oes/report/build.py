@@ -12,6 +12,7 @@ from oes.report.bundle import copy_films, copy_models
 from oes.report.card import Card, read_card
 from oes.report.figures import write_figures
 from oes.report.forecast import LAST
+from oes.report.futures import copy_gallery, futures_tables, futures_tree, read_futures
 from oes.report.metrics import study_tree, trials_tree, write_json
 from oes.report.names import OURS, SCENARIOS
 from oes.report.page import headline, write_page
@@ -57,6 +58,7 @@ class Inputs:
     objects: Path
     dynamics: Path
     rollouts: Path
+    futures: Path
     trials: Path
 
 
@@ -91,6 +93,7 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
     control = {scenario: outcomes(trials, scenario) for scenario in cfg.scenarios}
     views = view_figures(read_columns([inputs.objects / f"{FIRST.task}-{FIRST.splits[0]}" / "views.csv"], VIEWS))
     video = video_figures(inputs.dynamics)
+    futures = read_futures(inputs.futures, cfg.tasks)
     line = chapters[FIRST.task].line
     tables = [
         *(table for chapter in chapters.values() for table in forecast_tables(chapter.found, [chapter.line])),
@@ -98,6 +101,7 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
         *(_detector_table(chapter) for chapter in chapters.values()),
         view_table(views, (line,)),
         *([video_table(video, (line,))] if video else []),
+        *futures_tables(futures, cfg.seed, (line,)),
     ]
     out.mkdir(parents=True, exist_ok=True)
     for table in tables:
@@ -106,10 +110,12 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
     for chapter in chapters.values():
         figures |= write_figures(chapter.found, chapter.card.displacement_mm, out / "figures")
     figures |= copy_forecasts(inputs.dynamics, video, out / "figures")
+    gallery, gallery_films = copy_gallery(inputs.futures, cfg.tasks, out / "figures")
     copy_models(inputs.perception, inputs.dynamics, out / "models")
     shutil.copyfile(inputs.meshes / SHEET, out / SHEET)
     films = {
         "Forecasts": [name for task in chapters for name in forecast_films(inputs.rollouts, task, out / "films")],
+        "Imagined from three sides": gallery_films,
         **{
             f"Trials {SCENARIOS.get(name, name)}": copy_films(inputs.trials, trials, name, OURS, out / "films")
             for name in cfg.scenarios
@@ -121,11 +127,12 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
         **{key: value for chapter in chapters.values() for key, value in _tree(chapter).items()},
         "mpc": {scenario: trials_tree(each) for scenario, each in control.items()},
         **({"video": video} if video else {}),
+        **({"futures": futures_tree(futures)} if futures else {}),
         "view_prediction": {**views[views_key(1)], **views},
     }
     write_json(tree, out / "metrics.json")
     opening = [text for each in chapters.values() for text in (headline(each.found, VARIED, LAST), each.line)]
-    write_page(out / "README.md", opening, tables, figures, films)
+    write_page(out / "README.md", opening, tables, figures | gallery, films)
 
 
 def _table3(scenario: str, cfg: Tables) -> str:

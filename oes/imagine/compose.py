@@ -1,0 +1,105 @@
+"""Scene synthesis: the features of each object, masked, moved and drawn over the scene without objects (paper 3.2).
+
+The paper's sum of Draw(Rotate(m) * Rotate(M), p): the map is resampled once, from where each voxel's content was at
+first, and where masks overlap they share the voxel.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from oes.geom.voxels import Grid, centers, sample
+from oes.objects import Objects
+from oes.percept.network import Scene
+from oes.percept.perceiver import Perceiver
+from oes.percept.rays import CLEAR_LOGIT, Field
+
+FLOOR_M = 0.0  # the table's top: nothing below belongs to an object
+
+
+@dataclass(frozen=True)
+class Still:
+    """One scene as first seen, taken apart: its map CXYZ, the same without objects, what surrounds it, and for each of
+    N objects its mask, a voxel wider than perceived, on ``window`` centred at ``center_N3``."""
+
+    map: Tensor
+    bare: Tensor
+    grid: Grid
+    backdrop: Field
+    mask_NXYZ: Tensor
+    center_N3: Tensor
+    window: Grid
+
+
+@dataclass(frozen=True)
+class Poses:
+    """What is drawn: for each of M drawn objects, which of the scene's N it looks like, its rotation about its first
+    centre and its displacement (world axes, since the first frame), and its size over that at first."""
+
+    which_M: Tensor
+    rotation_M33: Tensor
+    translation_M3: Tensor
+    scale_M: Tensor
+
+
+def at_first(count: int) -> Poses:
+    """All objects where they were."""
+    return Poses(torch.arange(count), torch.eye(3).expand(count, 3, 3), torch.zeros(count, 3), torch.ones(count))
+
+
+def carried_on(poses: Poses, rotation_M33: Tensor, translation_M3: Tensor) -> Poses:
+    """After drawn objects have turned about the centres they had in ``poses``, and shifted."""
+    return Poses(poses.which_M, rotation_M33 @ poses.rotation_M33, poses.translation_M3 + translation_M3, poses.scale_M)
+
+
+@torch.inference_mode()
+def take_apart(perceiver: Perceiver, scene: Scene, objects: Objects) -> Still:
+    """Split one scene (B = 1) into its objects and the rest."""
+    near, backdrop = perceiver.fields(scene)
+    volume, grid, window = near.volume_BCXYZ[0], near.grid, perceiver.net.roi.window
+    mask_NXYZ = F.max_pool3d(objects.crop_NCXYZ[:, 0].float().to(volume.device), 3, stride=1, padding=1)
+    center_N3 = objects.center_N3.to(volume.device)
+    still = Still(volume, volume, grid, backdrop, mask_NXYZ, center_N3, window)
+    if not len(center_N3):
+        return still
+    hole_XYZ = _weights(still, at_first(len(center_N3))).amax(0)
+    density = volume[0].lerp(volume[0].median(), hole_XYZ)  # most of the map is air
+    return Still(**vars(still) | {"bare": torch.cat([density[None], volume[1:]])})
+
+
+@torch.inference_mode()
+def compose(still: Still, poses: Poses) -> Field:
+    """The synthesised map (B = 1)."""
+    if not len(poses.which_M):
+        return Field(still.bare[None], still.grid)
+    weight_MXYZ = _weights(still, poses)
+    points = centers(still.grid, still.map.device).reshape(-1, 3)
+    source_MP3 = _sources(still, poses, points) + still.center_N3[poses.which_M][:, None]
+    moved_MCXYZ = sample(still.map.expand(len(source_MP3), -1, -1, -1, -1), still.grid, source_MP3)
+    moved_MCXYZ = moved_MCXYZ.transpose(1, 2).reshape(len(source_MP3), -1, *still.grid.shape)
+    total = weight_MXYZ.sum(0)
+    drawn = (weight_MXYZ[:, None] * moved_MCXYZ).sum(0) / total.clamp(min=1)
+    return Field((still.bare * (1 - total.clamp(max=1)) + drawn)[None], still.grid)
+
+
+def _weights(still: Still, poses: Poses) -> Tensor:
+    """How much of each map voxel belongs to each drawn object: MXYZ."""
+    points = centers(still.grid, still.map.device).reshape(-1, 3)
+    masks = still.mask_NXYZ[poses.which_M][:, None]
+    weight = sample(masks, still.window, _sources(still, poses, points))[..., 0]
+    return (weight * (points[:, 2] > FLOOR_M)).reshape(-1, *still.grid.shape)
+
+
+def _sources(still: Still, poses: Poses, points_P3: Tensor) -> Tensor:
+    """Where the content of points came from, MP3, from its object's first centre."""
+    center_M3 = still.center_N3[poses.which_M] + poses.translation_M3
+    turned_back = (points_P3 - center_M3[:, None]) @ poses.rotation_M33
+    return turned_back / poses.scale_M[:, None, None]
+
+
+def visible(near: Field) -> Tensor:
+    """What can be seen of each voxel, CXYZ: its opacity over one voxel's length, and its features as far as opaque."""
+    opacity = 1 - torch.exp(-F.softplus(near.volume_BCXYZ[0, :1] - CLEAR_LOGIT))
+    return torch.cat([opacity, opacity * near.volume_BCXYZ[0, 1:]])
