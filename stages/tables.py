@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from oes.report.build import Inputs, Tables, build
+from oes.report.build import build
+from oes.report.findings import Inputs, Tables
 from oes.report.provenance import read_seeds
 from oes.stage import PARAMS, publish, run, work_dir
 

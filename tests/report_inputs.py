@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 from safetensors.numpy import save_file
 
-from oes.report.build import Inputs
+from oes.report.findings import Inputs
 from oes.report.futures import CONSISTENCY, EDITS, FILES, RENDERS
 from oes.report.names import MODELS, SETTINGS
 from oes.report.perception import BOX, DETECTIONS
@@ -51,6 +51,8 @@ def make_inputs(root: Path) -> Inputs:
     weights = {"w": np.linspace(-1, 1, 9, dtype=np.float32), "n": np.array([3], np.int64)}
     save_file(weights, found.perception / "perception.safetensors", about)
     save_file(weights, found.dynamics / "pushing-oes" / "model.safetensors", about)
+    (found.perception / "log.csv").write_text("step,loss,val_ap_50,val_psnr_db\n50,9.0,,\n100,5.0,0.5,20.0\n")
+    (found.dynamics / "pushing-oes" / "log.csv").write_text("step,loss,mm_5,deg_5\n100,2.0,,\n200,1.0,30.0,20.0\n")
     write_forecasts(found.dynamics / "pushing-planet")
     return found
 
@@ -137,7 +139,7 @@ def write_perception(folder: Path) -> None:
             rows.append(base | box | true | {"score": 0.9, "iou": 1.0, "centre_mm": 0.0, "mask_iou": 0.8})
             rows.append(base | true | {"true_x_m": -0.1})
             rows.append(base | box | {"x_m": 0.25, "score": 0.3})
-    write_csv(folder / "detections.csv", rows, [*DETECTIONS, "iou"])
+    write_csv(folder / "detections.csv", rows, list(DETECTIONS))
     views = [
         {"episode": 0, "step": 0, "num_views": n, "camera": 3, "psnr_db": 20 + n + i, "ssim": 0.8}
         for n in (1, 3)

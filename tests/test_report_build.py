@@ -10,13 +10,15 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from oes.config import ParamsError, load
-from oes.report.build import Inputs, Tables, build, forecasts
+from oes.report.build import build
 from oes.report.bundle import WeightsError, copy_half
 from oes.report.card import read_card
+from oes.report.findings import Inputs, Tables
 from oes.report.names import METRICS, MODELS, SETTINGS
 from oes.report.perception import DETECTIONS, VIEWS, detector_figures, read_detections, view_figures
 from oes.report.provenance import describe_machine, read_seeds
 from oes.report.rows import ERRORS, TRIALS, RowsError, read_columns
+from oes.report.study import forecasts
 from oes.report.video import VIDEO_MODELS
 from tests.report_inputs import make_inputs
 
@@ -46,14 +48,21 @@ def test_everything_is_there(reports: Path) -> None:
         assert "seeds: trials 0; machine: " in (reports / f"{name}.md").read_text()
     figures = {path.name for path in (reports / "figures").iterdir()}
     both = ("error-over-time", "by-objects", "displacement")
-    stems = (*both, "by-views", *(f"{stem}-falling" for stem in both))
+    trained = ("reliability", "learning-perception", "learning-pushing")
+    stems = (*both, *trained, "by-views", *(f"{stem}-falling" for stem in both))
     gallery = {f"imagined-{task}-{kind}-000000.png" for task in CFG.tasks for kind in ("forecast", "views", "edits")}
-    gallery |= {f"imagined-{task}-views-000000.mp4" for task in CFG.tasks} | {"forecasts-planet.png"}
+    gallery.add("forecasts-planet.png")
     assert figures == {f"{stem}.{kind}" for stem in stems for kind in ("png", "svg")} | gallery
     films = {path.name for path in (reports / "films").iterdir()}
     stems = ("targets-trial_000", "targets-trial_005", "rollouts-pushing", "rollouts-falling")
-    assert films == {f"{stem}.{kind}" for stem in stems for kind in ("mp4", "gif")}
+    sides = {f"imagined-{task}-views-000000.mp4" for task in CFG.tasks}
+    assert films == {f"{stem}.{kind}" for stem in stems for kind in ("mp4", "gif")} | sides
     assert (reports / "contact_sheet.png").exists()
+    page = (reports / "index.html").read_text()
+    assert page.count("<video ") == len(sides) + 4 and page.count("<img ") == 1 + sum(
+        name.endswith(".png") for name in figures
+    )
+    assert "pushing: error of 3D-OES over that of graph-XYZ" in page and "to targets succeed (shooting)" in page
 
 
 def test_the_page_shows_every_table_and_its_links_hold(reports: Path) -> None:

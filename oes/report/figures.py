@@ -54,7 +54,7 @@ def over_time(rows: Sequence[Line], title: str, path: Path) -> None:
             _draw(panel, line.model, list(line.at), list(line.at.values()))
         panel.set_xlabel("T (steps)")
         panel.set_xticks(HORIZONS)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def by_group(rows: Sequence[Line], grouped_by: str, T: int, path: Path) -> None:
@@ -67,7 +67,7 @@ def by_group(rows: Sequence[Line], grouped_by: str, T: int, path: Path) -> None:
             _draw(panel, model, [int(line.group) for line in own], [line.at[T] for line in own])
         panel.set_xlabel(grouped_by)
         panel.set_xticks(sorted({int(line.group) for line in chosen}))
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def displacement(values_mm: Mapping[int, Sequence[float]], path: Path) -> None:
@@ -83,7 +83,7 @@ def displacement(values_mm: Mapping[int, Sequence[float]], path: Path) -> None:
     panel.set_ylabel("share of objects that moved farther")
     panel.set_ylim(0, 1)
     panel.legend()
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _chosen(rows: Sequence[Line], metric: str) -> list[Line]:
@@ -108,7 +108,7 @@ def _draw(panel: Axes, model: str, x: Sequence[int], intervals: Sequence[Interva
     panel.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
     """PNG and SVG beside each other, without dates; the legend goes to the first panel that has lines."""
     with mpl.rc_context(STYLE):
         if figure.axes[0].get_legend_handles_labels()[0] and figure.axes[0].get_legend() is None:

@@ -96,25 +96,31 @@ def futures_tree(found: Sequence[Futures]) -> dict[str, Any]:
     return tree
 
 
-def copy_gallery(folder: Path, tasks: Sequence[str], out: Path) -> tuple[dict[str, str], list[str]]:
-    """Pictures with their captions, and films, all from ``out``'s parent."""
-    figures, films = {}, []
-    captions = {
-        "forecast": "what happened, and what 3D-OES and graph-XYZ imagine, from the first photograph's side",
-        "views": "what happened and what 3D-OES imagines, from three sides",
-        "edits": "scenes as they were and changed: what Bullet does, what 3D-OES imagines",
+CAPTIONS = {
+    "forecast": "what happened, and what 3D-OES and graph-XYZ imagine, from the first photograph's side",
+    "views": "what happened and what 3D-OES imagines, from three sides",
+    "edits": "scenes as they were and changed: what Bullet does, what 3D-OES imagines",
+}
+
+
+def copy_gallery(found: Sequence[Futures], folder: Path, out: Path) -> dict[str, str]:
+    """The pictures of imagined futures in ``out``, from its parent, with their captions."""
+    return {
+        f"{out.name}/{target.name}": f"{task}: {CAPTIONS[target.name.split('-')[2]]}."
+        for task, target in _copied(found, folder, out, "*.png")
     }
-    for task in tasks:
-        for source in sorted((folder / task / "gallery").glob("*")):
-            out.mkdir(parents=True, exist_ok=True)
-            target = out / f"imagined-{task}-{source.name}"
-            shutil.copyfile(source, target)
-            path = f"{out.name}/{target.name}"
-            if source.suffix == ".png":
-                figures[path] = f"{task}: {captions[source.stem.split('-')[0]]}."
-            else:
-                films.append(path)
-    return figures, films
+
+
+def copy_side_films(found: Sequence[Futures], folder: Path, out: Path) -> list[str]:
+    """The films of futures from three sides in ``out``, from its parent."""
+    return [f"{out.name}/{target.name}" for _, target in _copied(found, folder, out, "*.mp4")]
+
+
+def _copied(found: Sequence[Futures], folder: Path, out: Path, pattern: str) -> list[tuple[str, Path]]:
+    """Files of the galleries, each with its task."""
+    out.mkdir(parents=True, exist_ok=True)
+    pairs = [(each.task, path) for each in found for path in sorted((folder / each.task / "gallery").glob(pattern))]
+    return [(task, Path(shutil.copyfile(path, out / f"imagined-{task}-{path.name}"))) for task, path in pairs]
 
 
 def _tree(rows: Columns, name: str) -> dict[str, dict[str, dict[str, float]]]:

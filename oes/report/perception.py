@@ -15,7 +15,7 @@ DETECTIONS: dict[str, Any] = {
     "episode": int,
     "step": int,
     "num_views": int,
-    **dict.fromkeys(("score", "centre_mm", "mask_iou", *BOX, *(f"true_{name}" for name in BOX)), optional_float),
+    **dict.fromkeys(("score", "iou", "centre_mm", "mask_iou", *BOX, *(f"true_{name}" for name in BOX)), optional_float),
 }
 VIEWS: dict[str, Any] = {"num_views": int, "psnr_db": float, "ssim": float}
 

@@ -1,5 +1,6 @@
 """Table 3: pushing objects to targets, and around obstacles, by model predictive control."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,7 +62,7 @@ def outcomes(rows: Columns, scenario: str) -> list[Outcome]:
     return found
 
 
-def trials_table(found: list[Outcome], name: str, scenario: str, notes: tuple[str, ...]) -> Table:
+def trials_table(found: Sequence[Outcome], name: str, scenario: str, notes: tuple[str, ...]) -> Table:
     """The outcomes, one row a planner and model."""
     header = (
         "planner",

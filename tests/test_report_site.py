@@ -1,0 +1,69 @@
+"""The page of results: whole in one file, and shown by a real browser without a fault."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from oes.film import write_video
+from oes.report.site import Fact, write_site
+from oes.report.table import Table
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
+# Waits for every picture and film, then writes what it found where --dump-dom shows it.
+PROBE = """<script>
+window.faults = [];
+addEventListener("error", (e) => window.faults.push(String(e.message ?? e.target.tagName)), true);
+addEventListener("load", async () => {
+  const films = [...document.querySelectorAll("video")], images = [...document.querySelectorAll("img")];
+  images.forEach((e) => { e.loading = "eager"; });
+  await Promise.all(images.map((e) => e.decode()));
+  await Promise.all(films.map((e) => e.readyState >= 2 || new Promise((done) => {
+    e.preload = "auto"; e.addEventListener("loadeddata", done); e.load();
+  })));
+  document.title = JSON.stringify({
+    images: images.every((e) => e.naturalWidth > 0), films: films.map((e) => e.videoWidth),
+    wide: Math.max(0, document.documentElement.scrollWidth - innerWidth), faults: window.faults });
+});
+</script>"""
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Path:
+    """A page with one table, one picture and one film."""
+    (tmp_path / "figures").mkdir()
+    noise = np.random.default_rng(0).integers(0, 255, (6, 48, 64, 3)).astype(np.uint8)
+    Image.fromarray(noise[0]).save(tmp_path / "figures/error-over-time.png")
+    write_video(noise, tmp_path / "figures/rollouts-pushing.mp4", 5)
+    (tmp_path / "metrics.json").write_text("{}")
+    cells = [(f"model {i}", *(f"{i}.{j} [0.0, 99.9]" for j in range(12))) for i in range(3)]
+    cells.append(("3D-OES", *(["**1.0**"] * 12)))
+    table = Table("table1", "A wide table", ("model", *map(str, range(12))), tuple(cells), (), ("A note <of> it.",))
+    pictures = ({"figures/error-over-time.png": "Errors."}, {"Films": ["figures/rollouts-pushing.mp4"]})
+    write_site(tmp_path / "index.html", ["Where it is from."], [Fact("0.5", "a ratio")], [table], pictures, "two cores")
+    return tmp_path / "index.html"
+
+
+def test_the_page_holds_everything_and_asks_for_nothing(page: Path) -> None:
+    text = page.read_text()
+    assert set(re.findall(r'(?:src|href)="([^",]*)', text)) == {
+        "#forecasts", "data:image/png;base64", "data:video/mp4;base64", "data:application/json;base64",
+    }  # fmt: skip
+    assert '<tr class="ours"><td>3D-OES</td><td>1.0</td>' in text and "A note &lt;of&gt; it." in text
+    assert "Control" not in text, "no section without anything in it"
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
+@pytest.mark.parametrize("width_px", [1280, 500])
+def test_a_browser_shows_it_without_a_fault(page: Path, tmp_path: Path, width_px: int) -> None:
+    probed = tmp_path / "probed.html"
+    probed.write_text(page.read_text().replace("<head>", "<head>" + PROBE))
+    command = [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width_px},800",
+               f"--user-data-dir={tmp_path / 'profile'}", "--timeout=8000", "--dump-dom", probed.as_uri()]  # fmt: skip
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True).stdout
+    title = re.search(r"<title>(.*?)</title>", shown)
+    assert title and title[1] == '{"images":true,"films":[64],"wide":0,"faults":[]}'
