@@ -14,6 +14,7 @@ from oes.imagine.compose import Poses, Still, compose
 from oes.imagine.whatif import Answer
 from oes.meshes.catalogue import Catalogue
 from oes.percept.perceiver import Perceiver
+from oes.record.dataset import FrameSource
 from oes.render.scene import mesh_poses
 from oes.sim.world import Sim
 
@@ -71,6 +72,25 @@ def write_pictures(
     write_video([*films, *films[-1:] * HOLD], folder / f"views-{name}.mp4", PICTURES_PER_S)
     edits = [row for answer in answers for row in _pair(painter, answer, cameras[0], models[0])]
     _save(folder / f"edits-{name}.png", edits)
+
+
+def write_predictions(
+    perceiver: Perceiver,
+    source: FrameSource,
+    episode_i: int,
+    camera_is: tuple[Sequence[int], Sequence[int]],
+    path: Path,
+) -> None:
+    """Views that were not seen, predicted from one and from three that were (first frame), below photographs of them.
+
+    ``camera_is``: those to see with, at least three, and those to predict.
+    """
+    frames, cameras = source.read(episode_i, 0, camera_is[1])
+    rows: Rows = [("photographs", list(frames.rgb_VHW3))]
+    for count, words in ((1, "from one view"), (3, "from three views")):
+        fields = perceiver.fields(perceiver.encode(*source.read(episode_i, 0, camera_is[0][:count])))
+        rows.append((words, list(perceiver.look(*fields, cameras).rgb_VHW3)))
+    _save(path, rows)
 
 
 Rows = list[tuple[str, list[Pixels]]]

@@ -14,7 +14,7 @@ from oes.dynamics.unroll import Model
 from oes.imagine.compose import Still
 from oes.imagine.edits import KINDS, Edits
 from oes.imagine.first import TRUTH, perceive, true_motions
-from oes.imagine.gallery import Painter, write_pictures, zoomed
+from oes.imagine.gallery import Painter, write_pictures, write_predictions, zoomed
 from oes.imagine.quality import Judge, Row
 from oes.imagine.whatif import Answer, ask, edit_rows
 from oes.meshes.catalogue import Catalogue
@@ -85,7 +85,8 @@ class Study:
         cfg, episode = self.cfg, self.source.episodes[episode_i]
         rng = np.random.default_rng((cfg.seed, episode_i))
         others = [i for i in range(len(episode.steps[0].cameras)) if i not in cfg.cameras]
-        input_i = int(rng.choice(others))
+        seen_is = rng.permutation(others).tolist()
+        input_i = seen_is[0]
         case, still = perceive(self.perceiver, self.source, episode_i, input_i)
         world = (self.catalogue, cfg.sim, self.models)
         answers = list(ask(case, cfg.kinds[self.task], cfg.edits, still.window, rng, world))
@@ -93,6 +94,8 @@ class Study:
             cameras = [zoomed(episode.steps[0].cameras[i], cfg.zoom) for i in (input_i, *cfg.cameras)]
             painter = Painter(self.perceiver, self.catalogue, cfg.sim, still)
             write_pictures(painter, answers, cameras, list(self.models), gallery)
+            path = gallery / f"prediction-{episode_i:06d}.png"
+            write_predictions(self.perceiver, self.source, episode_i, (seen_is, cfg.cameras), path)
         judge = Judge(self.perceiver, self.source, case, (input_i, cfg.cameras))
         judged = self._judged(judge, still, answers[0]) if episode_i < cfg.rendered else {}
         return judged | {"edits": [row for answer in answers for row in edit_rows(answer, cfg.times)]}

@@ -99,6 +99,7 @@ def futures_tree(found: Sequence[Futures]) -> dict[str, Any]:
 CAPTIONS = {
     "forecast": "what happened, and what 3D-OES and graph-XYZ imagine, from the first photograph's side",
     "views": "what happened and what 3D-OES imagines, from three sides",
+    "prediction": "views that were not seen, predicted from one and from three that were",
     "edits": "scenes as they were and changed: what Bullet does, what 3D-OES imagines",
 }
 
