@@ -15,7 +15,7 @@ export DVC_NO_ANALYTICS := 1
 # Huge pages for torch's CPU memory (Linux): a training step of perception takes 0.75 to 0.87 of its time.
 export THP_MEM_ALLOC_ENABLE := 1
 
-.PHONY: help all test check setup smoke demo bench evaluate doctor clean profile $(STAGES)
+.PHONY: help all test check setup smoke demo view bench evaluate doctor clean profile $(STAGES)
 
 help: ## list what can be made
 	@echo 'make all [PROFILE=smoke|paper]   make STAGE [PROFILE=...]   make evaluate MESHES=folder'
@@ -69,6 +69,10 @@ $(STAGES): profile
 
 demo: setup ## plan and carry out one push with the weights in git; writes a video
 	@cd $(HERE) && python -m oes.demo
+
+EPISODE ?= .work/view/traj_000000
+view: setup ## look at an episode in the browser and drag its objects: make view [EPISODE=folder]
+	@cd $(HERE) && python -m oes.view --episode "$(EPISODE)"
 
 bench: setup ## speed of capture, perception and planning on this machine
 	@python -m benchmarks

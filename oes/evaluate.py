@@ -69,14 +69,14 @@ def main(cfg: Evaluate, meshes: Path) -> None:
         shutil.rmtree(work)
 
 
-def find_weights(roots: Sequence[Path], needed: Sequence[str]) -> tuple[Path, dict[str, Path]]:
+def find_weights(roots: Sequence[Path], needed: Sequence[str], task: str = TASK) -> tuple[Path, dict[str, Path]]:
     """Perception's weights and each model's folder, from the first root that has perception's and models.
 
     Raises EvaluateError when no root has those, the ``needed`` models among them.
     """
     for root in roots:
         perception = root / "perception" / "perception.safetensors"
-        folders = {word: root / "dynamics" / f"{TASK}-{word}" for word in MODELS}
+        folders = {word: root / "dynamics" / f"{task}-{word}" for word in MODELS}
         dynamics = {word: folder for word, folder in folders.items() if (folder / "model.safetensors").is_file()}
         if perception.is_file() and dynamics and dynamics.keys() >= set(needed):
             return perception, dynamics

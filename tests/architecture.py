@@ -19,7 +19,7 @@ from oes.stage import imports, reached
 ORDER = (
     "config", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "stage", "fit", "film",
     "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics", "video", "control",
-    "rollout", "score", "imagine", "trial", "evaluate", "demo",
+    "rollout", "score", "imagine", "trial", "evaluate", "demo", "browse", "view",
 )  # fmt: skip
 
 # Libraries that only some packages may import.
@@ -45,7 +45,8 @@ OWNERS = {
         "trial",
         "evaluate",
     }
-    | {"demo", "stages"},
+    | {"demo", "browse", "stages"},
+    "viser": {"browse", "view"},
     "pickle": set[str](),
 }
 

@@ -42,11 +42,12 @@ class Case:
 
 
 def moved(case: Case, i: int, shift_3: Floats) -> Case:
-    """The perceived object ``i`` (one that was matched to a true one) stands elsewhere."""
+    """The perceived object ``i`` stands elsewhere, and so does the true one that it was matched to, if any."""
     true_i, first = case.scene.truth[i], case.episode.steps[0]
     world_T_obj_N44, center_N3 = first.world_T_obj_N44.copy(), first.center_N3.copy()
-    world_T_obj_N44[true_i, :3, 3] += shift_3
-    center_N3[true_i] += shift_3
+    if true_i >= 0:
+        world_T_obj_N44[true_i, :3, 3] += shift_3
+        center_N3[true_i] += shift_3
     shift = torch.from_numpy(shift_3).float()
     objects, poses = case.scene.objects, case.poses
     objects = replace(objects, center_N3=_added(objects.center_N3, i, shift))
@@ -56,7 +57,7 @@ def moved(case: Case, i: int, shift_3: Floats) -> Case:
 
 
 def resized(case: Case, i: int, factor: float, window: Grid) -> Case:
-    """The perceived object ``i`` is larger or smaller by a factor, on the same spot of the table."""
+    """The perceived object ``i``, matched to a true one, is larger or smaller by a factor, on the same spot."""
     true_i, first = case.scene.truth[i], case.episode.steps[0]
     spot_3 = first.center_N3[true_i] * [1, 1, 0]
     world_T_obj_N44, center_N3, size_N3 = (x.copy() for x in (first.world_T_obj_N44, first.center_N3, first.size_N3))
@@ -80,7 +81,7 @@ def resized(case: Case, i: int, factor: float, window: Grid) -> Case:
 
 
 def removed(case: Case, i: int) -> Case:
-    """The perceived object ``i`` is not there."""
+    """The perceived object ``i``, matched to a true one, is not there."""
     true_i = case.scene.truth[i]
     left = [n for n in range(len(case.scene.truth)) if n != i]
     others = [n for n in range(len(case.episode.bodies)) if n != true_i]
@@ -89,11 +90,18 @@ def removed(case: Case, i: int) -> Case:
 
 
 def added(case: Case, i: int, shift_3: Floats) -> Case:
-    """A second object like the perceived ``i`` stands at a displacement from it."""
+    """A second object like the perceived ``i``, matched to a true one, stands at a displacement from it."""
     count, found = len(case.episode.bodies), len(case.scene.truth)
     scene = replace(case.scene, truth=[*case.scene.truth, count])
     twice = _chosen(replace(case, scene=scene), [*range(found), i], [*range(count), case.scene.truth[i]])
     return moved(twice, found, shift_3)
+
+
+def started(case: Case, shift_3: Floats) -> Case:
+    """The rod starts elsewhere."""
+    first = case.episode.steps[0]
+    first = replace(first, tip_world_3=first.tip_world_3 + shift_3)
+    return replace(case, episode=replace(case.episode, steps=(first, *case.episode.steps[1:])))
 
 
 def redirected(case: Case, turn_rad: float) -> Case:

@@ -16,13 +16,13 @@ def read_states(folder: Path) -> list[Episode]:
 
 
 class FrameSource:
-    """Images of one split by position: (episode, state, cameras). Cheap to send to another process.
+    """Images of one split (or of one episode) by position: (episode, state, cameras). Cheap to send to another process.
 
     Several splits are mixed evenly: any run of neighbours holds of each what the whole holds of it.
     """
 
     def __init__(self, *folders: Path) -> None:
-        found = [(at, path) for folder in folders for at, path in _placed(list_episodes(folder))]
+        found = [(at, path) for folder in folders for at, path in _placed(_episodes(folder))]
         self.folders = [path for _, path in sorted(found, key=lambda each: each[0])]
         self.episodes = [read_episode(path) for path in self.folders]
 
@@ -34,6 +34,11 @@ class FrameSource:
         frames = read_frames(self.folders[episode_i], step_i, camera_is)
         cameras = self.episodes[episode_i].steps[step_i].cameras
         return frames, tuple(cameras[camera_i] for camera_i in camera_is)
+
+
+def _episodes(folder: Path) -> list[Path]:
+    """Those of a split; or the folder itself, if it is an episode."""
+    return [folder] if any(folder.glob("*.mcap")) else list_episodes(folder)
 
 
 def _placed(paths: Sequence[Path]) -> list[tuple[float, Path]]:

@@ -1,0 +1,1 @@
+"""An episode to look at and to play with in the browser."""
