@@ -39,7 +39,7 @@ def reports(inputs: Inputs, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_everything_is_there(reports: Path) -> None:
     pushing = ("table1", "table3", "by-objects", "by-views", "detector", "view-prediction", "video")
-    imagined = ("futures", "consistency", "counterfactuals")
+    imagined = ("futures", "consistency", "counterfactuals", "data")
     for name in (*pushing, *imagined, "table2", "by-objects-falling", "detector-falling"):
         for suffix in ("md", "csv", "tex"):
             text = (reports / f"{name}.{suffix}").read_text()
@@ -59,6 +59,7 @@ def test_everything_is_there(reports: Path) -> None:
     assert films == {f"{stem}.{kind}" for stem in stems for kind in ("mp4", "gif")} | sides
     assert (reports / "contact_sheet.png").exists()
     page = (reports / "index.html").read_text()
+    assert "| falling | train | 12 | 10.0 / 30.0 / 50.0 | 40% |" in (reports / "data.md").read_text()
     assert page.count("<video ") == len(sides) + 4 and page.count("<img ") == 1 + sum(
         name.endswith(".png") for name in figures
     )

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from oes.report.bundle import copy_films, copy_models
+from oes.report.card import data_table
 from oes.report.curves import write_curves
 from oes.report.figures import write_figures
 from oes.report.findings import Chapter, Findings, Inputs, Tables, read_findings
@@ -73,6 +74,7 @@ def _tables(found: Findings, cfg: Tables) -> list[Table]:
         view_table(found.views, (line,)),
         *([video_table(found.video, (line,))] if found.video else []),
         *futures_tables(found.futures, cfg.seed, (line,)),
+        data_table(found.cards, (line,)),
     ]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from oes.config import params
-from oes.report.card import Card, read_card
+from oes.report.card import Card, read_card, read_cards
 from oes.report.futures import Futures, read_futures
 from oes.report.perception import VIEWS, detector_figures, read_detections, view_figures
 from oes.report.provenance import describe_machine, provenance
@@ -71,6 +71,7 @@ class Findings:
     """What all stages left, read."""
 
     chapters: Mapping[str, Chapter]
+    cards: Mapping[tuple[str, str], Card]
     trials: Columns
     control: Mapping[str, Sequence[Outcome]]
     views: Mapping[str, Mapping[str, float]]
@@ -89,6 +90,7 @@ def read_findings(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int]) -> Find
     machine = describe_machine()
     trials = read_columns(sorted(inputs.trials.glob("*/trials.csv")), TRIALS)
     return Findings(
+        cards=read_cards(inputs.episodes, cfg.tasks),
         chapters={task: read_chapter(task, cfg, inputs, seeds, machine) for task in cfg.tasks},
         trials=trials,
         control={scenario: outcomes(trials, scenario) for scenario in cfg.scenarios},

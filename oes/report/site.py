@@ -59,7 +59,7 @@ CHAPTERS = (
     Chapter(
         "Data and training",
         "The objects, how far they move in the training episodes, and how the losses fell.",
-        (),
+        ("data",),
         ("contact_sheet", "displacement", "learning"),
         (),
     ),
