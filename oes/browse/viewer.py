@@ -14,6 +14,8 @@ from oes.film import GOAL, IMAGINED, PUSH, SEEN, Colour
 from oes.imagine.edits import Case
 from oes.imagine.first import Motion
 from oes.meshes.catalogue import Catalogue
+from oes.sim.arm import ReachError
+from oes.sim.client import BulletError
 from oes.sim.world import Sim
 
 POINT_M, ROD_M, HANDLE_M = 0.006, 0.15, 0.09
@@ -93,11 +95,9 @@ class Viewer:
 
     def _place_handles(self) -> None:
         """Handles where everything stood at first."""
-        self.handles = []
         for i, center_3 in enumerate(self.session.first.scene.objects.center_N3.numpy()):
             handle = self._handle(f"/handles/{i}", center_3)
             handle.on_update(lambda event, i=i: self._drag(i, np.asarray(event.target.position)))  # type: ignore[misc]
-            self.handles.append(handle)
         episode = self.session.first.episode
         if not episode.has_robot:
             return
@@ -144,9 +144,12 @@ class Viewer:
         self._wake.set()
 
     def simulate(self) -> None:
-        """Ask Bullet what would happen."""
-        self.happened = self.session.simulated(self.catalogue, self.sim)
-        self.ask()
+        """Ask Bullet what would happen; where the arm cannot reach, that is told."""
+        try:
+            self.happened = self.session.simulated(self.catalogue, self.sim)
+            self.ask()
+        except (ReachError, BulletError) as error:
+            self.panel.status.content = f"The simulator cannot do that: {error}"
 
     def restore(self) -> None:
         """The scene and the push as they were."""
