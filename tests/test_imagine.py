@@ -14,13 +14,15 @@ from oes.geom.se3 import rotation_z
 from oes.geom.voxels import Grid, cube
 from oes.imagine.compose import Poses, Still, at_first, carried_on, compose
 from oes.imagine.edits import KINDS, Case, added, draw_edit, moved, redirected, removed, resized
-from oes.imagine.first import STATIC, true_motions
+from oes.imagine.first import STATIC, motions, true_motions
 from oes.imagine.quality import Judge, _qualities
 from oes.imagine.study import Futures
 from oes.imagine.whatif import AS_IT_WAS, Answer, ask, edit_rows
+from oes.objects import Objects
 from oes.percept.rays import Field
 from oes.sim.simulate import Episodes, simulate
 from tests.blocks import make_catalogue
+from tests.test_dynamics_models import make_model, make_objects
 from tests.test_rollout import make_scene
 
 CFG = load(Path("params.yaml"), "futures", Futures)
@@ -132,6 +134,19 @@ def test_every_change_is_forecast_without_error_by_who_knows_what_happens(world:
         assert max(row["translation_mm"] for row in rows) < 1e-2 and max(row["rotation_deg"] for row in rows) < 0.02
     still = [row for answer in answers for row in edit_rows(answer, (5,)) if row["model"] == STATIC]
     assert max(row["translation_mm"] for row in still) > 20.0, "something is pushed"
+
+
+def test_a_scene_in_which_nothing_was_seen_is_forecast_to_stay(world: tuple[Case, tuple]) -> None:
+    case, _ = world
+    objects = Objects(**{name: value[:0] for name, value in vars(case.scene.objects).items()})
+    blind = replace(case, scene=replace(case.scene, objects=objects, truth=[]), poses=at_first(0))
+    model = make_model("oes", make_objects())
+    found = motions(blind, {"oes": model})["oes"]
+    assert found.translation_TN3.shape == (5, 0, 3) and found.rotation_TN33.shape == (5, 0, 3, 3)
+    rows = list(edit_rows(Answer(AS_IT_WAS, blind, case.episode, {"oes": found}), (5,)))
+    assert [row["detected"] for row in rows] == [0, 0] and max(row["translation_mm"] for row in rows) > 20
+    still, _ = still_life()
+    torch.testing.assert_close(compose(still, found.poses(blind.poses, 5)).volume_BCXYZ[0], still.bare)
 
 
 def test_no_change_without_a_place_or_an_object(world: tuple[Case, tuple]) -> None:

@@ -1,5 +1,6 @@
 """Counterfactuals: forecasts of scenes that were changed, held against Bullet from the same change (4, A.2)."""
 
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,8 +15,12 @@ from oes.imagine.quality import Row
 from oes.measure import rotation_deg, translation_mm
 from oes.meshes.catalogue import Catalogue
 from oes.rollout import carried, truth_of
+from oes.sim.arm import ReachError
+from oes.sim.client import BulletError
 from oes.sim.simulate import replay_bodies
 from oes.sim.world import Sim
+
+log = logging.getLogger(__name__)
 
 AS_IT_WAS = "none"
 EDIT_COLUMNS = ("task", "episode_i", "edit", "model", "object_i", "T", "translation_mm", "rotation_deg", "detected")
@@ -39,15 +44,22 @@ def ask(
     rng: np.random.Generator,
     world: tuple[Catalogue, Sim, Mapping[str, Model]],
 ) -> Iterator[Answer]:
-    """The case as it was, then a change of each kind that has a place; ``world`` simulates and forecasts it."""
+    """The case as it was, then a change of each kind that has a place and can be simulated, and the forecasts.
+
+    ``world``: the catalogue, Bullet's settings and the models.
+    """
     catalogue, sim, models = world
     for kind in (AS_IT_WAS, *kinds):
         changed = case if kind == AS_IT_WAS else draw_edit(kind, case, cfg, window, rng)
         if changed is None:
             continue
-        happened = (
-            case.episode if changed is case else replay_bodies(catalogue, sim, changed.episode, changed.episode.bodies)
-        )
+        try:
+            happened = case.episode
+            if changed is not case:
+                happened = replay_bodies(catalogue, sim, changed.episode, changed.episode.bodies)
+        except (ReachError, BulletError) as error:
+            log.warning("episode %d, %s: left out, as the simulator cannot: %s", case.scene.episode_i, kind, error)
+            continue
         yield Answer(kind, changed, happened, motions(changed, models))
 
 
