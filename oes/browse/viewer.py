@@ -173,7 +173,7 @@ class Viewer:
         self._draw_forecast(case, motion, T)
         self._draw_truth(T)
         camera_i = self.cameras.index(panel.camera.value)
-        camera = case.episode.steps[0].cameras[camera_i]
+        camera = case.episode.steps[T].cameras[camera_i]
         panel.imagined.image = _enlarged(self.session.imagined(case, motion, T, camera))
         if self.happened is self.session.first.episode:
             panel.photograph.image = _enlarged(self.session.photograph(T, camera_i)[0].rgb_VHW3[0])
