@@ -1,5 +1,6 @@
 """The nouns that flow through every stage: Camera, Body, Step, Frames, Episode."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +64,11 @@ class Frames:
     rgb_VHW3: NDArray[np.uint8]
     depth_m_VHW: NDArray[np.float32]
     seg_VHW: NDArray[np.uint8]
+
+    def of(self, camera_is: Sequence[int]) -> "Frames":
+        """Those of some of the cameras, in the order asked for."""
+        views = list(camera_is)
+        return Frames(self.rgb_VHW3[views], self.depth_m_VHW[views], self.seg_VHW[views])
 
 
 @dataclass(frozen=True)

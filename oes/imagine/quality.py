@@ -79,9 +79,8 @@ class Judge:
     ) -> Iterator[Row]:
         places: list[list[Floats]] = [[] for _ in true_N3]
         for view_i, camera in enumerate(cameras):
-            here = slice(view_i, view_i + 1)
-            one = Frames(frames.rgb_VHW3[here], frames.depth_m_VHW[here], frames.seg_VHW[here])
-            found_M3 = self.perceiver.detect(self.perceiver.encode(one, [camera]))[0].double().cpu().numpy()
+            scene = self.perceiver.encode(frames.of([view_i]), [camera])
+            found_M3 = self.perceiver.detect(scene)[0].double().cpu().numpy()
             for place_3, true_i in zip(found_M3, match(found_M3, true_N3), strict=True):
                 if true_i >= 0:
                     places[true_i].append(place_3)

@@ -100,9 +100,11 @@ class Observer:
         draws: list[Draw] = []
         detections: list[Row] = []
         predictions: list[Row] = []
-        order = rng.permutation(len(self.source.episodes[episode_i].steps[0].cameras)).tolist()
+        every_camera = range(len(self.source.episodes[episode_i].steps[0].cameras))
+        order = rng.permutation(every_camera).tolist()
+        every_frame, rig = self.source.read(episode_i, 0, every_camera)
         for views, names in self._plan(order):
-            frames, cameras = self.source.read(episode_i, 0, views)
+            frames, cameras = every_frame.of(views), [rig[camera_i] for camera_i in views]
             scene = self.perceiver.encode(frames, cameras)
             for name in names:
                 centers, sizes, scores, gt_N = self._boxes(self.settings[name].boxes, scene, episode_i, rng)
@@ -112,9 +114,9 @@ class Observer:
                 seen: Row = {"episode": episode_i, "step": 0, "num_views": len(views)}
                 truth = truth_of(self.source.episodes[episode_i], 0, self.solids)
                 detections += [seen | row for row in detection_rows(self.perceiver, scene, truth)]
-                query_frames, (query,) = self.source.read(episode_i, 0, order[-1:])
-                row = view_row(self.perceiver, scene, query_frames, query)
-                predictions.append(seen | {"camera": order[-1]} | row)
+                query_i = order[-1]
+                row = view_row(self.perceiver, scene, every_frame.of([query_i]), rig[query_i])
+                predictions.append(seen | {"camera": query_i} | row)
         return draws, detections, predictions
 
     def _plan(self, order: Sequence[int]) -> Iterator[tuple[list[int], list[str]]]:
