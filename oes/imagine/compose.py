@@ -74,14 +74,17 @@ def compose(still: Still, poses: Poses) -> Field:
     """The synthesised map (B = 1)."""
     if not len(poses.which_M):
         return Field(still.bare[None], still.grid)
-    weight_MXYZ = _weights(still, poses)
-    points = centers(still.grid, still.map.device).reshape(-1, 3)
-    source_MP3 = _sources(still, poses, points) + still.center_N3[poses.which_M][:, None]
-    moved_MCXYZ = sample(still.map.expand(len(source_MP3), -1, -1, -1, -1), still.grid, source_MP3)
-    moved_MCXYZ = moved_MCXYZ.transpose(1, 2).reshape(len(source_MP3), -1, *still.grid.shape)
-    total = weight_MXYZ.sum(0)
-    drawn = (weight_MXYZ[:, None] * moved_MCXYZ).sum(0) / total.clamp(min=1)
-    return Field((still.bare * (1 - total.clamp(max=1)) + drawn)[None], still.grid)
+    weight_MP = _weights(still, poses).flatten(1)
+    where_Q = (weight_MP.amax(0) > 0).nonzero()[:, 0]  # objects fill little of the map
+    points_Q3 = centers(still.grid, still.map.device).reshape(-1, 3)[where_Q]
+    source_MQ3 = _sources(still, poses, points_Q3) + still.center_N3[poses.which_M][:, None]
+    moved_MQC = sample(still.map.expand(len(source_MQ3), -1, -1, -1, -1), still.grid, source_MQ3)
+    weight_MQ = weight_MP[:, where_Q]
+    total_Q = weight_MQ.sum(0)
+    drawn_CQ = torch.einsum("mq,mqc->cq", weight_MQ, moved_MQC) / total_Q.clamp(min=1)
+    made_CP = still.bare.flatten(1).clone()
+    made_CP[:, where_Q] = made_CP[:, where_Q] * (1 - total_Q.clamp(max=1)) + drawn_CQ
+    return Field(made_CP.reshape(1, *still.bare.shape), still.grid)
 
 
 def _weights(still: Still, poses: Poses) -> Tensor:
