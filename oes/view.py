@@ -17,6 +17,7 @@ from oes.demo import find_catalogue
 from oes.dynamics.checkpoint import load_model
 from oes.episode import PUSHING
 from oes.evaluate import KEPT, TRAINED, find_weights
+from oes.meshes.catalogue import Catalogue
 from oes.percept.perceiver import Perceiver
 from oes.record.dataset import FrameSource
 from oes.sim.simulate import Episodes
@@ -41,14 +42,20 @@ def main(cfg: View, episode: Path) -> None:
     Raises EvaluateError without weights, EpisodeError for an episode that cannot be read.
     """
     episodes_cfg, catalogue = load(PARAMS, "episodes", Episodes), find_catalogue()
-    if episode == SPARE and not SPARE.exists():
-        SPARE.parent.mkdir(parents=True, exist_ok=True)
-        capture(catalogue, episodes_cfg, PUSHING, "test2", 0, SPARE)
+    if episode == SPARE:
+        record_spare(catalogue, episodes_cfg)
     session = open_session(episode, cfg.camera)
     server = viser.ViserServer(port=cfg.port, label="3D-OES", verbose=False)
     Viewer(server, session, catalogue, episodes_cfg.sim)
     log.info("%s: http://localhost:%d (ctrl-C ends it)", episode, server.get_port())
     threading.Event().wait()
+
+
+def record_spare(catalogue: Catalogue, cfg: Episodes) -> None:
+    """An episode of two objects in ``SPARE``, unless one is there."""
+    if not SPARE.exists():
+        SPARE.parent.mkdir(parents=True, exist_ok=True)
+        capture(catalogue, cfg, PUSHING, "test2", 0, SPARE)
 
 
 def open_session(folder: Path, camera_i: int) -> Session:

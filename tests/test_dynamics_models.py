@@ -112,6 +112,14 @@ def test_padded_objects_change_nothing(word: str) -> None:
 
 @torch.no_grad()
 @pytest.mark.parametrize("word", FORECASTERS)
+def test_where_no_object_is_nothing_is_forecast(word: str) -> None:
+    objects, (tip, actions) = make_objects(), make_actions()
+    found = unroll(make_model(word, objects), only(objects, torch.tensor([], dtype=torch.long)), tip, actions)
+    assert found.translation_BTN3.shape == (3, 5, 0, 3) and found.rotation_BTN33.shape == (3, 5, 0, 3, 3)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("word", FORECASTERS)
 def test_unrolling_is_repeated_stepping(word: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model(word, objects)

@@ -86,9 +86,8 @@ class Learned(Model):
         mirror_33, there = self.mirror_33, mirrored(state, self.mirror_33)
         both = ObjectState(**{name: torch.cat([value, getattr(there, name)]) for name, value in vars(state).items()})
         appearance_ANC = torch.cat(appearance_BNC.chunk(2, -1))
-        found = self.step(
-            appearance_ANC, both, _beside(tip_world_B3, mirror_33), _beside(action_B3, mirror_33)
-        )  # A = 2B scenes at once: twice as many small steps would take longer
+        # A = 2B scenes at once: twice as many small steps would take longer
+        found = self.step(appearance_ANC, both, _beside(tip_world_B3, mirror_33), _beside(action_B3, mirror_33))
         (dp_BN3, dp_there_BN3), (spin_BN3, spin_there_BN3) = found.dp_BN3.chunk(2), found.spin_BN3.chunk(2)
         return Motion((dp_BN3 + dp_there_BN3 @ mirror_33) / 2, (spin_BN3 - spin_there_BN3 @ mirror_33) / 2)
 

@@ -56,9 +56,11 @@ def advance(state: ObjectState, motion: Motion) -> ObjectState:
 
 def unroll(model: Model, objects: Objects, tip_B3: Tensor, actions_BT3: Tensor) -> Unrolled:
     """Forecast batched ``objects`` under ``actions_BT3`` (metres) of the tip, which follows its commanded path."""
-    return unroll_from(
-        model, model.appearance(objects), at_rest(objects.center_N3, objects.valid_N), tip_B3, actions_BT3
-    )
+    state = at_rest(objects.center_N3, objects.valid_N)
+    if not state.valid_BN.shape[1]:  # networks cannot look at nothing
+        none = (*actions_BT3.shape[:2], 0, 3)
+        return Unrolled(actions_BT3.new_zeros(none), actions_BT3.new_zeros(*none, 3))
+    return unroll_from(model, model.appearance(objects), state, tip_B3, actions_BT3)
 
 
 def unroll_from(

@@ -64,7 +64,7 @@ def take_apart(perceiver: Perceiver, scene: Scene, objects: Objects) -> Still:
     still = Still(volume, volume, grid, backdrop, mask_NXYZ, center_N3, window)
     if not len(center_N3):
         return still
-    hole_XYZ = _weights(still, at_first(len(center_N3))).amax(0)
+    hole_XYZ = _weights(still, at_first(len(center_N3))).amax(0).reshape(grid.shape)
     density = volume[0].lerp(volume[0].median(), hole_XYZ)  # most of the map is air
     return Still(**vars(still) | {"bare": torch.cat([density[None], volume[1:]])})
 
@@ -74,7 +74,7 @@ def compose(still: Still, poses: Poses) -> Field:
     """The synthesised map (B = 1)."""
     if not len(poses.which_M):
         return Field(still.bare[None], still.grid)
-    weight_MP = _weights(still, poses).flatten(1)
+    weight_MP = _weights(still, poses)
     where_Q = (weight_MP.amax(0) > 0).nonzero()[:, 0]  # objects fill little of the map
     points_Q3 = centers(still.grid, still.map.device).reshape(-1, 3)[where_Q]
     source_MQ3 = _sources(still, poses, points_Q3) + still.center_N3[poses.which_M][:, None]
@@ -88,11 +88,11 @@ def compose(still: Still, poses: Poses) -> Field:
 
 
 def _weights(still: Still, poses: Poses) -> Tensor:
-    """How much of each map voxel belongs to each drawn object: MXYZ."""
+    """How much of each map voxel belongs to each drawn object: MP."""
     points = centers(still.grid, still.map.device).reshape(-1, 3)
     masks = still.mask_NXYZ[poses.which_M][:, None]
     weight = sample(masks, still.window, _sources(still, poses, points))[..., 0]
-    return (weight * (points[:, 2] > FLOOR_M)).reshape(-1, *still.grid.shape)
+    return weight * (points[:, 2] > FLOOR_M)
 
 
 def _sources(still: Still, poses: Poses, points_P3: Tensor) -> Tensor:

@@ -47,8 +47,6 @@ def motions(case: Case, models: Mapping[str, Model]) -> dict[str, Motion]:
     """What each model forecasts of a case, and that nothing moves (``static``)."""
     steps, count = len(case.episode.actions_T3), len(case.scene.truth)
     still = Motion(torch.zeros(steps, count, 3), torch.eye(3).expand(steps, count, 3, 3))
-    if not count:  # models ask for one object at least
-        return dict.fromkeys((STATIC, *models), still)
     return {STATIC: still, **{word: _forecast(case, model) for word, model in models.items()}}
 
 
