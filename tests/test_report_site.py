@@ -1,8 +1,11 @@
 """The page of results: whole in one file, and shown by a real browser without a fault."""
 
+import json
 import re
 import shutil
 import subprocess
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +17,7 @@ from oes.report.site import Fact, write_site
 from oes.report.table import Table
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
-# Waits for every picture and film, then writes what it found where --dump-dom shows it.
+# Waits for every picture and film, then sends what it found to where the page came from.
 PROBE = """<script>
 window.faults = [];
 addEventListener("error", (e) => window.faults.push(String(e.message ?? e.target.tagName)), true);
@@ -25,9 +28,9 @@ addEventListener("load", async () => {
   await Promise.all(films.map((e) => e.readyState >= 2 || new Promise((done) => {
     e.preload = "auto"; e.addEventListener("loadeddata", done); e.load();
   })));
-  document.title = JSON.stringify({
+  fetch("/found", { method: "POST", body: JSON.stringify({
     images: images.every((e) => e.naturalWidth > 0), films: films.map((e) => e.videoWidth),
-    wide: Math.max(0, document.documentElement.scrollWidth - innerWidth), faults: window.faults });
+    wide: Math.max(0, document.documentElement.scrollWidth - innerWidth), faults: window.faults }) });
 });
 </script>"""
 
@@ -57,13 +60,48 @@ def test_the_page_holds_everything_and_asks_for_nothing(page: Path) -> None:
     assert "Control" not in text, "no section without anything in it"
 
 
+class Served(HTTPServer):
+    """Serves one page to a browser and keeps what the probe in it sends back."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__(("127.0.0.1", 0), Answer)
+        self.page, self.found, self.told = page.encode(), {}, threading.Event()
+
+
+class Answer(BaseHTTPRequestHandler):
+    """The page for whatever is asked; what is posted is kept."""
+
+    server: Served
+
+    def do_GET(self) -> None:
+        self.send_response(200 if self.path == "/" else 204)
+        self.end_headers()
+        self.wfile.write(self.server.page if self.path == "/" else b"")
+
+    def do_POST(self) -> None:
+        self.server.found = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        self.send_response(204)
+        self.end_headers()
+        self.server.told.set()
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Quiet."""
+
+
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
 @pytest.mark.parametrize("width_px", [1280, 500])
 def test_a_browser_shows_it_without_a_fault(page: Path, tmp_path: Path, width_px: int) -> None:
-    probed = tmp_path / "probed.html"
-    probed.write_text(page.read_text().replace("<head>", "<head>" + PROBE))
+    served = Served(page.read_text().replace("<head>", "<head>" + PROBE))
+    threading.Thread(target=served.serve_forever, daemon=True).start()
     command = [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width_px},800",
-               f"--user-data-dir={tmp_path / 'profile'}", "--timeout=8000", "--dump-dom", probed.as_uri()]  # fmt: skip
-    shown = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True).stdout
-    title = re.search(r"<title>(.*?)</title>", shown)
-    assert title and title[1] == '{"images":true,"films":[64],"wide":0,"faults":[]}'
+               f"--user-data-dir={tmp_path / 'profile'}", "--remote-debugging-port=0",
+               f"http://127.0.0.1:{served.server_port}/"]  # fmt: skip
+    browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        assert served.told.wait(120), "the browser never told what it found"
+    finally:
+        browser.terminate()
+        browser.wait(30)
+        served.shutdown()
+        served.server_close()
+    assert served.found == {"images": True, "films": [64], "wide": 0, "faults": []}
