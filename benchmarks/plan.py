@@ -16,7 +16,7 @@ from oes.objects import Objects
 PLANS = ((30, 1), (60, 10))
 NUM_OBJECTS = 2
 REPEATS = 50
-SEEN = Seen(crop_channels=11, crop_side=16, voxel_m=0.01, image_side_px=32)
+SEEN = Seen(crop_channels=11, crop_side=16, voxel_m=0.01, image_side_px=32, outline_rows=10, outline_directions=64)
 
 
 def scene(seen: Seen) -> Objects:
@@ -31,6 +31,8 @@ def scene(seen: Seen) -> Objects:
         image_NV3HW=torch.zeros(*shape, 1, 3, seen.image_side_px, seen.image_side_px, dtype=torch.uint8),
         camera_NV12=torch.zeros(*shape, 1, 12),
         view_NV=torch.ones(*shape, 1, dtype=torch.bool),
+        outline_NRK3=torch.tensor([0.035, 0.002, 1.0]).expand(*shape, seen.outline_rows, seen.outline_directions, 3),
+        mass_N3=torch.zeros(*shape, 3),
     )
 
 

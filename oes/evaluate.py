@@ -19,6 +19,7 @@ from oes.meshes.build import Meshes, ingest_folder
 from oes.meshes.catalogue import load_catalogue
 from oes.percept.draws import Draws, Observer, perceive_all
 from oes.percept.perceiver import Perceiver
+from oes.percept.shell import Shells
 from oes.percept.solids import solids_of
 from oes.percept.store import ObjectStore, read_objects, write_objects
 from oes.record.dataset import FrameSource
@@ -28,7 +29,7 @@ from oes.report.study import forecast_tables, forecasts
 from oes.report.table import markdown, write_table
 from oes.rollout import Rollouts, forecaster
 from oes.rows import write_csv
-from oes.score import COLUMNS, split_rows, surfaces_of
+from oes.score import COLUMNS, overlaps_of, split_rows, surfaces_of
 from oes.sim.simulate import Episodes, Split
 from oes.stage import PARAMS, publish, run, work_dir
 
@@ -89,8 +90,10 @@ def perceive(work: Path, perception: Path, cfg: Draws) -> ObjectStore:
     if not path.exists():
         (work / "progress").mkdir(exist_ok=True)
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        solids = solids_of(load_catalogue(work / "meshes"), cfg.num_solid_points)
-        observer = Observer(cfg, Perceiver.load(perception, device), FrameSource(work / "episodes"), solids)
+        catalogue, perceiver = load_catalogue(work / "meshes"), Perceiver.load(perception, device)
+        shells = Shells(catalogue, perceiver.net.cfg.surface.cylinder)
+        solids = solids_of(catalogue, cfg.num_solid_points)
+        observer = Observer(cfg, perceiver, FrameSource(work / "episodes"), shells, solids)
         tensors, _, _ = perceive_all(observer, work / "progress")
         write_objects(path, tensors, list(observer.settings))
     return read_objects(path)
@@ -101,13 +104,11 @@ def write_errors(work: Path, store: ObjectStore, dynamics: Mapping[str, Path], c
     recorded = dict(enumerate(FrameSource(work / "episodes").episodes))
     catalogue = load_catalogue(work / "meshes")
     surfaces = surfaces_of(catalogue, cfg.num_surface_points)
-    rows = [
-        asdict(row)
-        for word, folder in dynamics.items()
-        for row in split_rows(
-            forecaster(load_dynamics(folder), catalogue, cfg), store, recorded, surfaces, (TASK, word, SPLIT), cfg
-        )
-    ]
+    overlaps = overlaps_of(catalogue, surfaces)
+    rows: list[dict[str, object]] = []
+    for word, folder in dynamics.items():
+        forecast = forecaster(load_dynamics(folder), catalogue, cfg)
+        rows += map(asdict, split_rows(forecast, store, recorded, surfaces, overlaps, (TASK, word, SPLIT), cfg))
     write_csv(work / "report" / "errors.csv", rows, COLUMNS)
 
 

@@ -16,6 +16,7 @@ Ints = NDArray[np.int64]
 
 LEVEL = 0.95
 RESAMPLES = 2000
+LEAST_ERROR = 1e-3
 
 
 def translation_mm(found_m: Floats, true_m: Floats) -> Floats:
@@ -37,6 +38,34 @@ def surface_mm(found_TQ3: Floats, surface_P3: Floats) -> Floats:
     """
     distance_TQ, _ = KDTree(surface_P3).query(found_TQ3)
     return np.asarray(np.mean(distance_TQ, axis=-1) * 1e3)
+
+
+def chamfer_mm(found_P3: Floats, true_Q3: Floats) -> float:
+    """Symmetric Chamfer distance (mm) of two surfaces given as points in metres: the mean of both mean distances to the
+    nearest point of the other."""
+    to_true_P, _ = KDTree(true_Q3).query(found_P3)
+    to_found_Q, _ = KDTree(found_P3).query(true_Q3)
+    return float((np.mean(to_true_P) + np.mean(to_found_Q)) / 2 * 1e3)
+
+
+def normal_deg(found_P3: Floats, found_normal_P3: Floats, true_Q3: Floats, true_normal_Q3: Floats) -> float:
+    """Mean angle (degrees) between unit normals of a surface and those of the nearest points of the true one."""
+    _, nearest_P = KDTree(true_Q3).query(found_P3)
+    cosine_P = (found_normal_P3 * true_normal_Q3[nearest_P]).sum(-1)
+    return float(np.degrees(np.arccos(np.clip(cosine_P, -1, 1))).mean())
+
+
+def error_quantile(level: float, scale: Floats, tail: float) -> Floats:
+    """Length below which a share ``level`` of errors lies: the length of a two-dimensional Student t of ``scale`` and
+    ``tail`` degrees of freedom, P(|e| < r) = 1 - (1 + r^2 / (tail scale^2))^(-tail / 2)."""
+    return np.asarray(scale) * float(np.sqrt(tail * ((1 - level) ** (-2 / tail) - 1)))
+
+
+def error_nll(error: Floats, scale: Floats, tail: float) -> Floats:
+    """Negative log-likelihood of errors' lengths under the law of ``error_quantile``: -log of its density
+    (r / s^2) (1 + r^2 / (tail s^2))^(-(tail + 2) / 2). Lengths below ``LEAST_ERROR`` count as that, to stay finite."""
+    r, s = np.maximum(error, LEAST_ERROR), np.asarray(scale)
+    return np.asarray(-np.log(r / s**2) + (tail + 2) / 2 * np.log1p((r / s) ** 2 / tail))
 
 
 def bootstrap_mean(values: Floats, groups: Ints, seed: int) -> tuple[float, float, float]:

@@ -15,6 +15,9 @@ class Objects:
     others (see ``oes.percept.perceiver.Perceiver.crops``) fade out a voxel off it: no robot, no neighbour shows.
     ``image_NV3HW``: uint8 RGB crop around the projected box in every input view; views that do not exist are
     zero, with ``view_NV`` False. ``camera_NV12``: the rows of world_T_cam (3x4) of every view.
+    ``outline_NRK3``: the completed surface as R outlines around the vertical through the centre (see
+    ``oes.percept.surface``): radius and its scale (metres) in K directions, and how likely there is any of it.
+    ``mass_N3``: where the centre of mass is thought to be, from ``center_N3``.
     """
 
     center_N3: Tensor
@@ -25,6 +28,8 @@ class Objects:
     image_NV3HW: Tensor
     camera_NV12: Tensor
     view_NV: Tensor
+    outline_NRK3: Tensor
+    mass_N3: Tensor
 
     def to(self, *args: torch.device | torch.dtype) -> "Objects":
         """Move or cast every tensor (integer and bool tensors keep their dtype when a float dtype is given)."""

@@ -1,7 +1,7 @@
 """What models forecast of test episodes: those that see what perception saw, and Bullet itself (paper section 4.1)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from oes.config import params
 from oes.dynamics.bounds import Simulator
+from oes.dynamics.certainty import Certainty
 from oes.dynamics.examples import padded, stack, true_motion
+from oes.dynamics.models import Learned
 from oes.dynamics.unroll import Model, unroll
 from oes.episode import Episode, Floats
 from oes.meshes.catalogue import Catalogue
@@ -40,10 +42,11 @@ class Strips:
 
 @params
 class Rollouts:
-    """The section ``rollouts``: settings scored on each test split, what counts as moved, points on each surface,
-    pictures, and Bullet for the replay."""
+    """The section ``rollouts``: settings scored on each test split (``variants``: those of ablations), what is moved,
+    points on each surface, pictures, and Bullet for the replay."""
 
     settings: dict[str, tuple[str, ...]]
+    variants: dict[str, tuple[str, ...]]
     moved_mm: float
     moved_deg: float
     num_surface_points: int
@@ -54,11 +57,14 @@ class Rollouts:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Where a model puts the true objects of one episode: motion since t = 0 of each object's true box centre."""
+    """Where a model puts the true objects of one episode: motion since t = 0 of each object's true box centre; and,
+    of models that tell, how sure it is: the scale of the translation's error (metres), and the law it belongs to."""
 
     translation_TN3: Floats
     rotation_TN33: Floats
     detected_N: Bools
+    scale_TN: Floats | None = None
+    certainty: Certainty | None = None
 
 
 @dataclass(frozen=True)
@@ -75,6 +81,12 @@ def scenes_of(store: ObjectStore, setting: str, episodes: Mapping[int, Episode])
     """The draws of a setting, but for missing episodes. Raises ObjectsError for a setting that the file lacks."""
     draw_is = [draw_i for draw_i in store.draws(setting) if store.episode(draw_i) in episodes]
     return [_scene(store, draw_i) for draw_i in draw_is]
+
+
+def seen_by(model: Model | Simulator, store: ObjectStore) -> ObjectStore:
+    """The perceived objects as a model is to see them: with their true surfaces, if it is an ablation that says so."""
+    is_told = isinstance(model, Learned) and model.net.contact.true_surfaces
+    return store.with_true_surfaces() if is_told else store
 
 
 def _scene(store: ObjectStore, draw_i: int) -> Scene:
@@ -103,8 +115,17 @@ class Imagined:
         actions_BT3 = torch.from_numpy(np.stack([episode.actions_T3 for episode in chosen])).float()
         found = unroll(self.model, objects, tip_B3, actions_BT3)
         motions = zip(found.translation_BTN3.double().numpy(), found.rotation_BTN33.double().numpy(), strict=True)
-        return [
+        carry = [
             carried(scene, episode, *motion) for scene, episode, motion in zip(scenes, chosen, motions, strict=True)
+        ]
+        if found.scale_BTN is None:
+            return carry
+        scales_BTN = found.scale_BTN.double().numpy()
+        return [
+            replace(
+                forecast, scale_TN=_of_true(scene, scale_TN, len(forecast.detected_N)), certainty=self.model.certainty
+            )
+            for forecast, scene, scale_TN in zip(carry, scenes, scales_BTN, strict=True)
         ]
 
 
@@ -147,6 +168,15 @@ def carried(scene: Scene, episode: Episode, translation_TN3: Floats, rotation_TN
         turned_TN33[:, object_i] = rotation_TN33[:, i]
         detected_N[object_i] = True
     return Forecast(moved_TN3, turned_TN33, detected_N)
+
+
+def _of_true(scene: Scene, scale_TM: Floats, num: int) -> Floats:
+    """Scales TN of true objects, of those TM of perceived ones; NaN for what was not detected."""
+    scale_TN = np.full((len(scale_TM), num), np.nan)
+    for i, object_i in enumerate(scene.truth):
+        if object_i >= 0:
+            scale_TN[:, object_i] = scale_TM[:, i]
+    return scale_TN
 
 
 def truth_of(episode: Episode, center_N3: Floats) -> Forecast:

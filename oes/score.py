@@ -8,17 +8,20 @@ import trimesh
 from numpy.typing import NDArray
 
 from oes.capture import scene_renderer
+from oes.dynamics import VARIANTS
 from oes.episode import Camera, Episode, Floats, Step
 from oes.geom.camera import intrinsics, look_at
 from oes.geom.se3 import rigid, transform
-from oes.measure import rotation_deg, surface_mm, translation_mm
+from oes.measure import error_nll, error_quantile, rotation_deg, surface_mm, translation_mm
 from oes.meshes.catalogue import Catalogue
+from oes.overlap import Overlaps
 from oes.percept.store import ObjectStore
 from oes.render.scene import mesh_poses
 from oes.rollout import Forecast, Forecaster, Rollouts, Scene, scenes_of, truth_of
 from oes.sim.rig import direction
 
 Surfaces = Mapping[str, Floats]
+Sure = tuple[float | None, float | None, float | None, float | None, float | None]
 
 QUERY_EVERY = 20  # of a surface's points, those whose distance is taken
 
@@ -28,6 +31,9 @@ class Row:
     """One true object at one step of one forecast; an object that was not detected is forecast to stay.
 
     ``surface_mm`` (``oes.measure``) is the error that is right for symmetric objects, of translation and rotation both.
+    ``penetration_mm``: how deep the object, as forecast, is in another, or that in it. Of models that tell how sure
+    they are, for detected objects: the scale of the error expected, whether (1 or 0) the true one lies within the
+    intervals of 50% and 90%, its negative log-likelihood (of its length in mm), and that under one scale for all at T.
     """
 
     task: str
@@ -44,6 +50,12 @@ class Row:
     surface_mm: float
     moved: int
     detected: int
+    penetration_mm: float
+    scale_mm: float | None
+    within_50: float | None
+    within_90: float | None
+    nll: float | None
+    nll_same: float | None
 
 
 COLUMNS = tuple(field.name for field in fields(Row))
@@ -57,11 +69,17 @@ def surfaces_of(catalogue: Catalogue, count: int) -> Surfaces:
     }
 
 
+def overlaps_of(catalogue: Catalogue, surfaces: Surfaces) -> Overlaps:
+    """Penetration among the catalogue's meshes, by some of the points of their surfaces."""
+    return Overlaps(catalogue, {name: points_P3[::QUERY_EVERY] for name, points_P3 in surfaces.items()})
+
+
 def split_rows(
     forecast: Forecaster,
     store: ObjectStore,
     episodes: Mapping[int, Episode],
     surfaces: Surfaces,
+    overlaps: Overlaps,
     words: tuple[str, str, str],
     cfg: Rollouts,
 ) -> Iterator[Row]:
@@ -70,10 +88,18 @@ def split_rows(
     Raises ObjectsError for a setting that the objects file does not have.
     """
     task, model, split = words
-    for setting in cfg.settings[split]:
+    for setting in settings_of(cfg, model)[split]:
         scenes = scenes_of(store, setting, episodes)
         for scene, found in zip(scenes, forecast(scenes, episodes), strict=True):
-            yield from _rows((task, model, setting, split), scene, found, episodes[scene.episode_i], surfaces, cfg)
+            episode = episodes[scene.episode_i]
+            poses_TN44 = np.stack([step.world_T_obj_N44 for step in forecast_steps(episode, found)[1:]])
+            depth_mm_TN = overlaps.depths_mm(episode, poses_TN44)
+            yield from _rows((task, model, setting, split), scene, found, episode, surfaces, depth_mm_TN, cfg)
+
+
+def settings_of(cfg: Rollouts, model: str) -> dict[str, tuple[str, ...]]:
+    """The settings that a model is scored on, by split."""
+    return cfg.variants if model in VARIANTS else cfg.settings
 
 
 def _rows(
@@ -82,6 +108,7 @@ def _rows(
     found: Forecast,
     episode: Episode,
     surfaces: Surfaces,
+    depth_mm_TN: Floats,
     cfg: Rollouts,
 ) -> Iterator[Row]:
     """The errors of one forecast; ``words`` are task, model, setting and split."""
@@ -99,7 +126,23 @@ def _rows(
         for t in range(steps):
             values = (error_mm_TN[t, object_i], error_deg_TN[t, object_i], apart_mm_T[t])
             mm, deg, apart_mm = (round(float(value), 4) for value in values)
-            yield Row(*words, *about, t + 1, mm, deg, apart_mm, *flags)
+            depth_mm = round(float(depth_mm_TN[t, object_i]), 4)
+            yield Row(*words, *about, t + 1, mm, deg, apart_mm, *flags, depth_mm, *_sure(found, t, object_i, mm))
+
+
+def _sure(found: Forecast, t: int, object_i: int, error_mm: float) -> Sure:
+    """``scale_mm`` and what follows it in a row."""
+    law = found.certainty
+    if found.scale_TN is None or law is None or not found.detected_N[object_i]:
+        return None, None, None, None, None
+    scale_mm = float(found.scale_TN[t, object_i]) * 1e3
+    within = [int(error_mm < error_quantile(level, np.array(scale_mm), law.tail)) for level in (0.5, 0.9)]
+    same_mm = law.same_T[min(t, len(law.same_T) - 1)] * 1e3
+    nll = [
+        round(float(error_nll(np.array(error_mm), np.array(scale), tail)), 4)
+        for scale, tail in ((scale_mm, law.tail), (same_mm, law.same_tail))
+    ]
+    return round(scale_mm, 4), within[0], within[1], nll[0], nll[1]
 
 
 def _apart_mm(surface_P3: Floats, found: Forecast, true: Forecast, object_i: int) -> Floats:

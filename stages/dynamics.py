@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from oes.dynamics import MODELS
+from oes.dynamics import MODELS, VARIANTS
 from oes.dynamics.checkpoint import save_model
 from oes.dynamics.learn import learn
 from oes.dynamics.train import Tasks
@@ -15,15 +15,15 @@ from oes.stage import StageError, publish, run, work_dir
 
 def main(cfg: Tasks, task: str, model: str, episodes: Path, objects: Path, out: Path) -> None:
     """Write ``model.safetensors`` and ``log.csv`` to ``out``."""
-    if model not in MODELS:
-        raise StageError(f"unknown model {model!r}; there are: {', '.join(MODELS)}")
+    if model not in (known := [*MODELS, *VARIANTS]):
+        raise StageError(f"unknown model {model!r}; there are: {', '.join(known)}")
     settings = cfg.of(task)
     with work_dir(out, (settings, task, model, [episodes, objects])) as work:
         scenes = read_objects(objects / "objects.safetensors")
         recorded = dict(enumerate(read_states(episodes)))
         progress = work / "progress"
         progress.mkdir(exist_ok=True)
-        learned, log = learn(MODELS[model], settings, scenes, recorded, progress)
+        learned, log = learn(model, settings, scenes, recorded, progress)
         save_model(work, learned)
         write_csv(work / "log.csv", log, columns_of(log) or ["step"])
         shutil.rmtree(progress)

@@ -9,6 +9,7 @@ from oes.meshes.catalogue import load_catalogue
 from oes.percept.draws import Draws, Observer, perceive_all
 from oes.percept.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
 from oes.percept.perceiver import Perceiver
+from oes.percept.shell import Shells
 from oes.percept.solids import solids_of
 from oes.percept.store import write_objects
 from oes.record.dataset import FrameSource
@@ -24,8 +25,10 @@ def main(cfg: Draws, task: str, split: str, meshes: Path, episodes: Path, percep
         progress.mkdir(exist_ok=True)
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         perceiver = Perceiver.load(perception / "perception.safetensors", device)
-        solids = None if is_train else solids_of(load_catalogue(meshes), cfg.num_solid_points)
-        observer = Observer(cfg, perceiver, FrameSource(episodes), solids)
+        catalogue = load_catalogue(meshes)
+        shells = Shells(catalogue, perceiver.net.cfg.surface.cylinder)
+        solids = None if is_train else solids_of(catalogue, cfg.num_solid_points)
+        observer = Observer(cfg, perceiver, FrameSource(episodes), shells, solids)
         tensors, detections, views = perceive_all(observer, progress)
         write_objects(work / "objects.safetensors", tensors, list(observer.settings))
         if not is_train:

@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 
 from oes.meshes.catalogue import load_catalogue
+from oes.percept.shell import Shells
 from oes.percept.solids import solids_of
 from oes.percept.train import Perception, train
 from oes.record.dataset import FrameSource
@@ -14,16 +15,18 @@ from oes.stage import publish, run, work_dir
 
 
 def main(cfg: Perception, meshes: Path, episodes: Path, out: Path) -> None:
-    """Write ``perception.safetensors`` (its config in the metadata) and ``log.csv`` to ``out``."""
+    """Write ``perception.safetensors`` (its config in the metadata), ``log.csv`` and ``surface.csv`` to ``out``."""
     with work_dir(out, (cfg, [meshes, episodes])) as work:
         progress = work / "progress"
         progress.mkdir(exist_ok=True)
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         source = FrameSource(*(episodes / f"{task}-train" for task in cfg.tasks))
-        solids = solids_of(load_catalogue(meshes), cfg.num_solid_points)
-        perceiver, log = train(cfg, source, solids, progress, device)
+        catalogue = load_catalogue(meshes)
+        solids, shells = solids_of(catalogue, cfg.num_solid_points), Shells(catalogue, cfg.network.surface.cylinder)
+        perceiver, log, surface_log = train(cfg, source, solids, shells, progress, device)
         perceiver.save(work / "perception.safetensors")
-        write_csv(work / "log.csv", log, columns_of(log))
+        for name, rows in (("log", log), ("surface", surface_log)):
+            write_csv(work / f"{name}.csv", rows, columns_of(rows))
         shutil.rmtree(progress)
         publish(work, out)
 

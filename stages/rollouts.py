@@ -11,9 +11,9 @@ from oes.dynamics.checkpoint import load
 from oes.meshes.catalogue import load_catalogue
 from oes.percept.store import read_objects
 from oes.record.dataset import read_states
-from oes.rollout import Rollouts, forecaster
+from oes.rollout import Rollouts, forecaster, seen_by
 from oes.rows import write_csv
-from oes.score import COLUMNS, split_rows, strips, surfaces_of
+from oes.score import COLUMNS, overlaps_of, settings_of, split_rows, strips, surfaces_of
 from oes.stage import publish, run, work_dir
 
 
@@ -22,14 +22,17 @@ def main(
 ) -> None:
     """Write ``errors.csv`` and ``scenes/<split>-<episode>.png`` to ``out``."""
     catalogue = load_catalogue(meshes)
-    forecast = forecaster(load(dynamics), catalogue, cfg)
+    learned = load(dynamics)
+    forecast = forecaster(learned, catalogue, cfg)
     surfaces = surfaces_of(catalogue, cfg.num_surface_points)
+    overlaps = overlaps_of(catalogue, surfaces)
 
     def rows(pictures: Path) -> Iterator[dict[str, object]]:
-        for split in tqdm(cfg.settings, unit="split", disable=None):
-            store = read_objects(objects / f"{task}-{split}" / "objects.safetensors")
+        for split in tqdm(settings_of(cfg, model), unit="split", disable=None):
+            store = seen_by(learned, read_objects(objects / f"{task}-{split}" / "objects.safetensors"))
             recorded = dict(enumerate(read_states(episodes / f"{task}-{split}")))
-            yield from map(asdict, split_rows(forecast, store, recorded, surfaces, (task, model, split), cfg))
+            words = (task, model, split)
+            yield from map(asdict, split_rows(forecast, store, recorded, surfaces, overlaps, words, cfg))
             if split == cfg.strips.splits[task]:
                 for episode_i, picture in strips(forecast, store, recorded, catalogue, cfg):
                     Image.fromarray(picture).save(pictures / f"{split}-{episode_i:06d}.png")

@@ -19,7 +19,7 @@ from oes.stage import imports, reached
 ORDER = (
     "config", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "stage", "fit", "film",
     "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics", "video", "control",
-    "rollout", "score", "imagine", "trial", "evaluate", "demo", "browse", "view",
+    "overlap", "rollout", "score", "imagine", "trial", "evaluate", "demo", "browse", "view",
 )  # fmt: skip
 
 # Libraries that only some packages may import.

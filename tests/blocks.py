@@ -40,7 +40,8 @@ def make_weights(folder: Path) -> None:
     net = PerceptionNet(load(SMOKE, "perception", Perception).network)
     roi = net.cfg.roi
     channels = 1 + NUM_SURFACE + net.cfg.map_features
-    seen = Seen(crop_channels=channels, crop_side=roi.count, voxel_m=roi.voxel_m, image_side_px=IMAGE_PX)
+    cylinder = net.cfg.surface.cylinder
+    seen = Seen(channels, roi.count, roi.voxel_m, IMAGE_PX, cylinder.rows, cylinder.directions)
     for word, kind in (("oes", OES), ("graph_xyz", GraphXYZ)):
         (folder / "dynamics" / f"pushing-{word}").mkdir(parents=True)
         save_model(folder / "dynamics" / f"pushing-{word}", kind(load(SMOKE, "dynamics", Tasks).pushing.net, seen))

@@ -1,6 +1,8 @@
 """Analytic scenes for tests of perception: coloured boxes on a table, ray cast with numpy, as episodes in memory."""
 
 from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import cast as cast_to
 
 import numpy as np
 import trimesh
@@ -10,16 +12,20 @@ from oes.geom.boxes import hull
 from oes.geom.camera import intrinsics, look_at
 from oes.geom.se3 import inverse, rigid, rotation_z, transform
 from oes.geom.voxels import Grid
+from oes.meshes.catalogue import Catalogue
 from oes.percept.decoder import Backdrop, Decoder
 from oes.percept.detector import Detector
 from oes.percept.lift import Lift
 from oes.percept.network import Network
 from oes.percept.roi import Roi
 from oes.percept.samples import Sampling
-from oes.percept.solids import Solids, solid_points
+from oes.percept.shell import Shells
+from oes.percept.solids import Solids, skin, solid_points
+from oes.percept.surface import Cylinder, Surface
 
 SIZES = {"brick": (0.12, 0.06, 0.06), "tile": (0.1, 0.1, 0.04)}
 GRID = Grid(min_m=(-0.32, -0.32, -0.04), shape=(64, 64, 32), voxel_m=0.01)
+CYLINDER = Cylinder(directions=32, distances=12, step_m=0.008, bands=4, band_m=0.02)
 TABLE = (np.array([0.6, 0.6, 0.04]), rigid(np.eye(3), np.array([0.0, 0.0, -0.02])), np.array([150, 140, 130]))
 
 
@@ -74,7 +80,18 @@ class BoxWorld:
 def box_solids(count: int = 2048) -> Solids:
     """Solid points of the two meshes."""
     boxes = {name: trimesh.creation.box(size) for name, size in SIZES.items()}
-    return Solids({name: solid_points(box, (box,), count, seed=0) for name, box in boxes.items()})
+    return Solids(
+        {name: solid_points(box, (box,), count, seed=0) for name, box in boxes.items()},
+        {name: skin(box, count) for name, box in boxes.items()},
+    )
+
+
+def box_shells() -> Shells:
+    """Their true outlines."""
+    meshes = {
+        name: SimpleNamespace(visual=trimesh.creation.box(size), com_obj_3=np.zeros(3)) for name, size in SIZES.items()
+    }
+    return Shells(cast_to(Catalogue, SimpleNamespace(meshes=meshes)), CYLINDER)
 
 
 def small_network() -> Network:
@@ -100,6 +117,7 @@ def small_network() -> Network:
                 num_samples=4,
             ),
         ),
+        surface=Surface(cylinder=CYLINDER, channels=(8, 8), width=16),
     )
 
 

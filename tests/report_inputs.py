@@ -28,6 +28,7 @@ SCENES = {  # number of objects, split and setting
     ],
 }
 TILE_PX = 25
+UNTOLD = dict.fromkeys(("scale_mm", "within_50", "within_90", "nll", "nll_same"))  # of models that are never unsure
 
 
 def make_inputs(root: Path) -> Inputs:
@@ -90,7 +91,10 @@ def write_forecasts(folder: Path) -> None:
 
 
 def write_errors(folder: Path, task: str) -> None:
-    """Errors that grow with the model's place in the order, the number of objects, and fall with views."""
+    """Errors that grow with the model's place in the order, the number of objects, and fall with views.
+
+    Of pushing, two ablations too, as good as what they are part of.
+    """
     rng = np.random.default_rng(0)
     for size, model in enumerate((name for name in MODELS if name not in VIDEO_MODELS), start=1):
         rows = []
@@ -99,10 +103,15 @@ def write_errors(folder: Path, task: str) -> None:
             for episode_i, object_i, T in np.ndindex(4, num_objects, 5):
                 error = size * (T + 1) * num_objects / num_views * rng.uniform(0.9, 1.1)
                 place = (task, model, setting, split, episode_i, object_i, num_objects, num_views, T + 1)
-                values = (*place, error, error / 2, error / 4, 1, 1)
+                sure = (error, int(T % 2), 1, 3.0, 3.5) if model == "contact" else ("",) * 5
+                values = (*place, error, error / 2, error / 4, 1, 1, 0.5 * (T % 2), *sure)
                 rows.append(dict(zip(ERRORS, values, strict=True)))
         (folder / f"{task}-{model}").mkdir(parents=True)
         write_csv(folder / f"{task}-{model}" / "errors.csv", rows, list(ERRORS))
+        for variant in ("contact_short", "contact_300") if (task, model) == ("pushing", "contact") else ():
+            (folder / f"{task}-{variant}").mkdir()
+            varied = [row | {"model": variant} for row in rows if row["setting"] == "1view_pred"]
+            write_csv(folder / f"{task}-{variant}" / "errors.csv", varied, list(ERRORS))
 
 
 def write_card(folder: Path, task: str) -> None:

@@ -11,13 +11,13 @@ from torch import Tensor
 
 from oes.checkpoint import Fit
 from oes.config import ParamsError, to_json
-from oes.dynamics import MODELS
+from oes.dynamics import VARIANTS
 from oes.dynamics.augment import Augment
-from oes.dynamics.bounds import Simulator, Static
+from oes.dynamics.bounds import Simulator
 from oes.dynamics.checkpoint import FILE, CheckpointError, load, load_model, save_model
 from oes.dynamics.learn import gather, learn
 from oes.dynamics.models import OES, GraphXYZ, GraphXYZImageFixed
-from oes.dynamics.train import Dynamics
+from oes.dynamics.train import Dynamics, Variant
 from oes.dynamics.unroll import Model, unroll
 from oes.episode import Episode
 from oes.geom.se3 import transform
@@ -44,9 +44,15 @@ CFG = Dynamics(
     augment=Augment(turn=True, mirror=True, shift_m=0.004),
     weights={"translation": 1.0, "rotation": 1.0},
     soft=1e-4,
+    unroll=True,
     held_out=0.25,
     voxel_m=0.01,
     fit=FIT,
+    fits={},
+    variants={
+        word: Variant(2, 0, word != "contact_step", word != "contact_still", word == "contact_true")
+        for word in VARIANTS
+    },
 )
 SETTINGS = ("train1", "train2", "fixed")
 
@@ -67,6 +73,10 @@ class Scenes:
         num = len(self.episodes[draw_i % 6].bodies)
         objects = Objects(**{k: v[0] for k, v in vars(make_objects(scenes=1, num=num, seed=draw_i)).items()})
         return objects, torch.arange(num)
+
+    def with_true_surfaces(self) -> "Scenes":
+        self.are_true = True
+        return self
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +122,7 @@ def test_missing_episodes_are_left_out(scenes: Scenes) -> None:
 
 @pytest.mark.parametrize("word", ["oes", "graph_xyz_image"])
 def test_a_trained_model_comes_back_from_disk(word: str, scenes: Scenes, tmp_path: Path) -> None:
-    model, log = learn(MODELS[word], CFG, scenes, scenes.episodes, tmp_path)
+    model, log = learn(word, CFG, scenes, scenes.episodes, tmp_path)
     assert log[-1]["step"] == CFG.fit.steps
     assert {"translation", "rotation", "mm_5", "deg_5"} <= set(log[-1])
     save_model(tmp_path, model)
@@ -128,12 +138,12 @@ def test_training_again_gives_the_same_weights(scenes: Scenes, tmp_path: Path) -
     runs = []
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        runs.append(learn(GraphXYZ, CFG, scenes, scenes.episodes, tmp_path / name)[0].state_dict())
+        runs.append(learn("graph_xyz", CFG, scenes, scenes.episodes, tmp_path / name)[0].state_dict())
     assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
 
 
 def test_the_simulator_takes_the_mean_of_all_bodies(scenes: Scenes, tmp_path: Path) -> None:
-    model, log = learn(Simulator, CFG, scenes, scenes.episodes, tmp_path)
+    model, log = learn("simulator", CFG, scenes, scenes.episodes, tmp_path)
     save_model(tmp_path, model)
     again = load(tmp_path)
     assert isinstance(again, Simulator)
@@ -146,7 +156,7 @@ def test_the_simulator_takes_the_mean_of_all_bodies(scenes: Scenes, tmp_path: Pa
 
 
 def test_static_is_saved_and_forecasts_rest(scenes: Scenes, tmp_path: Path) -> None:
-    save_model(tmp_path, learn(Static, CFG, scenes, scenes.episodes, tmp_path)[0])
+    save_model(tmp_path, learn("static", CFG, scenes, scenes.episodes, tmp_path)[0])
     found = unroll(load_model(tmp_path), make_objects(), *make_actions())
     assert not found.translation_BTN3.any()
 
@@ -160,7 +170,7 @@ def test_a_loader_refuses_what_it_does_not_know(tmp_path: Path) -> None:
     save_file({"x": torch.zeros(1)}, tmp_path / FILE, {"format": "other"})
     with pytest.raises(CheckpointError, match="format is 'other'"):
         load(tmp_path)
-    save_file({"x": torch.zeros(1)}, tmp_path / FILE, {"format": "oes-dynamics-1", "model": "planet"})
+    save_file({"x": torch.zeros(1)}, tmp_path / FILE, {"format": "oes-dynamics-2", "model": "planet"})
     with pytest.raises(CheckpointError, match="unknown model 'planet'"):
         load(tmp_path)
 
@@ -169,7 +179,7 @@ def test_a_loader_refuses_weights_that_do_not_fit_their_config(tmp_path: Path) -
     save_model(tmp_path, make_model("graph_xyz", make_objects()))
     tensors = load_file(tmp_path / FILE)
     wider = replace(NET, graph=replace(NET.graph, width=24))
-    about = {"format": "oes-dynamics-1", "model": "graph_xyz", "net": to_json(wider), "seen": to_json(SEEN)}
+    about = {"format": "oes-dynamics-2", "model": "graph_xyz", "net": to_json(wider), "seen": to_json(SEEN)}
     save_file(tensors, tmp_path / FILE, about)
     with pytest.raises(CheckpointError, match="do not fit"):
         load(tmp_path)

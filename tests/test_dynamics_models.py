@@ -8,23 +8,45 @@ from torch import Tensor
 
 from oes.dynamics import MODELS
 from oes.dynamics.augment import Batch, moved, turn_flip
+from oes.dynamics.bodies import Physics
 from oes.dynamics.bounds import Static
 from oes.dynamics.graph import Graph
 from oes.dynamics.loss import errors, loss_terms
 from oes.dynamics.models import OES, GraphXYZ, ImageNet, Learned, Net, Seen
+from oes.dynamics.shapes import Doubt
+from oes.dynamics.skin import ContactNet, Skin
 from oes.dynamics.slabs import Crop, SlabSight, fold
-from oes.dynamics.unroll import Model, advance, at_rest, unroll, unroll_from
+from oes.dynamics.unroll import Model, advance, at_rest, future_from, unroll, unroll_from
 from oes.objects import Objects
 
 NET = Net(
     graph=Graph(width=16, layers=3, rounds=2, unit_m=0.05, spin=True),
     crop=Crop(sight="slabs", read=2, slabs=2, channels=(4, 8, 8), width=16, cell_m=0.01, path_cell_m=0.0075),
     image=ImageNet(channels=(4, 8), width=16),
+    contact=ContactNet(
+        skin=Skin(every=4, rows=(0, 1), band_m=0.02, width=8, layers=2),
+        physics=Physics(
+            step_s=0.2,
+            parts=4,
+            table_friction=0.4,
+            rod_friction=0.24,
+            object_friction=0.16,
+            margin_m=0.002,
+            lean_m=0.012,
+            stance=1.0,
+            gyration=1.2,
+            rod_radius_m=0.008,
+            rounds=2,
+        ),
+        doubt=Doubt(draws=3, outline=1.0, waves=2, mass_m=0.002, log_mass=0.1, log_friction=0.1),
+        step_s=0.2,
+        true_surfaces=False,
+    ),
 )
 FALLING = "oes falling"  # the same model, reading crops as what falls asks for
 LEARNED = [*(word for word, kind in MODELS.items() if issubclass(kind, Learned)), FALLING]
 FORECASTERS = [*(word for word, kind in MODELS.items() if issubclass(kind, Model)), FALLING]
-SEEN = Seen(crop_channels=2, crop_side=16, voxel_m=0.01, image_side_px=32)
+SEEN = Seen(crop_channels=2, crop_side=16, voxel_m=0.01, image_side_px=32, outline_rows=6, outline_directions=32)
 VIEWS = 2
 ZERO = torch.zeros(3, 3, 3)
 
@@ -40,7 +62,19 @@ def make_objects(scenes: int = 3, num: int = 3, seed: int = 0) -> Objects:
         image_NV3HW=torch.randint(256, (scenes, num, VIEWS, 3, 32, 32), generator=g, dtype=torch.uint8),
         camera_NV12=torch.randn(scenes, num, VIEWS, 12, generator=g),
         view_NV=torch.tensor([True, False]).expand(scenes, num, VIEWS).clone(),
+        outline_NRK3=make_outlines(scenes, num, g),
+        mass_N3=torch.randn(scenes, num, 3, generator=g) * 0.002,
     )
+
+
+def make_outlines(scenes: int, num: int, g: torch.Generator) -> Tensor:
+    """Ellipses 3 to 4 cm in radius at every height."""
+    angle_K = torch.arange(32) * (2 * torch.pi / 32)
+    waist = torch.rand(scenes, num, 1, 1, generator=g) * 0.01
+    radius = (0.03 + waist * (angle_K + torch.rand(scenes, num, 1, 1, generator=g)).cos().square()).expand(
+        -1, -1, 6, 32
+    )
+    return torch.stack([radius, torch.full_like(radius, 0.002), torch.ones_like(radius)], -1)
 
 
 def make_actions(scenes: int = 3, steps: int = 5) -> tuple[Tensor, Tensor]:
@@ -74,7 +108,7 @@ def test_permuting_objects_permutes_the_forecast(word: str) -> None:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("word", LEARNED)
+@pytest.mark.parametrize("word", [word for word in LEARNED if word != "contact"])  # it learns mirror images instead
 def test_a_mirrored_scene_gets_the_mirrored_forecast(word: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model(word, objects)
@@ -123,8 +157,8 @@ def test_where_no_object_is_nothing_is_forecast(word: str) -> None:
 def test_unrolling_is_repeated_stepping(word: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model(word, objects)
-    found = unroll(model, objects, tip, actions)
     appearance, state = model.appearance(objects), at_rest(objects.center_N3, objects.valid_N)
+    found = future_from(model, appearance, state, tip, actions)
     for t, action in enumerate(actions.unbind(1)):
         state = advance(state, model(appearance, state, tip + actions[:, :t].sum(1), action))
         torch.testing.assert_close(found.translation_BTN3[:, t], state.moved_BN3)

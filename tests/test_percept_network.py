@@ -94,10 +94,10 @@ def test_broken_and_foreign_weights_are_refused_by_name(tmp_path: Path) -> None:
     seer = perceiver()
     seer.save(path)
     tensors, config = load_file(path), to_json(small_network())
-    save_file(tensors, path, {"format": "oes-perception-2", "config": config.replace('"hidden":32', '"hidden":48')})
+    save_file(tensors, path, {"format": "oes-perception-3", "config": config.replace('"hidden":32', '"hidden":48')})
     with pytest.raises(CheckpointError, match="do not fit the stored config"):
         Perceiver.load(path)
-    save_file(tensors, path, {"format": "oes-perception-2", "config": config.replace("hidden", "width")})
+    save_file(tensors, path, {"format": "oes-perception-3", "config": config.replace("hidden", "width")})
     with pytest.raises(CheckpointError, match="hidden: missing"):
         Perceiver.load(path)
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
+from torch import Tensor
 
 from oes.objects import Objects
 from oes.percept.draws import TEST_SETTINGS, Draws, Observer, perceive_all
 from oes.percept.network import PerceptionNet
 from oes.percept.perceiver import Perceiver
 from oes.percept.store import Draw, ObjectsError, joined, pack, read_objects, write_objects
-from tests.percept_scenes import BoxWorld, box_solids, small_network
+from tests.percept_scenes import BoxWorld, box_shells, box_solids, small_network
 
 CFG = Draws(
     seed=0,
@@ -36,20 +37,26 @@ def random_objects(count: int, num_views: int) -> Objects:
         image_NV3HW=torch.randint(0, 255, (count, num_views, 3, 32, 32), dtype=torch.uint8),
         camera_NV12=torch.rand(count, num_views, 12),
         view_NV=torch.ones(count, num_views, dtype=torch.bool),
+        outline_NRK3=torch.rand(count, 6, 32, 3).half().float(),
+        mass_N3=torch.rand(count, 3),
     )
+
+
+def surfaces(count: int) -> tuple[Tensor, Tensor]:
+    return torch.full((count, 6, 32), 0.03), torch.zeros(count, 3)
 
 
 def observer(world: BoxWorld, *, is_train: bool) -> Observer:
     torch.manual_seed(0)
     seer = Perceiver(PerceptionNet(small_network()), torch.device("cpu"))
-    return Observer(CFG, seer, world, None if is_train else box_solids())
+    return Observer(CFG, seer, world, box_shells(), None if is_train else box_solids())
 
 
 def test_draws_come_back_as_written_even_those_without_objects(tmp_path: Path) -> None:
     draws = [
-        Draw(4, "b", (7, 3), random_objects(2, 2), np.array([1, -1])),
-        Draw(4, "a", (5,), random_objects(0, 1), np.zeros(0, dtype=np.int64)),
-        Draw(6, "b", (1,), random_objects(1, 1), np.array([0])),
+        Draw(4, "b", (7, 3), random_objects(2, 2), np.array([1, -1]), surfaces(2)),
+        Draw(4, "a", (5,), random_objects(0, 1), np.zeros(0, dtype=np.int64), surfaces(0)),
+        Draw(6, "b", (1,), random_objects(1, 1), np.array([0]), surfaces(1)),
     ]
     shards = [pack(draws[:2], ["a", "b"], 3), pack(draws[2:], ["a", "b"], 3)]
     write_objects(tmp_path / "o.safetensors", joined(shards), ["a", "b"])
@@ -74,7 +81,7 @@ def test_files_that_are_no_objects_are_refused_by_name(tmp_path: Path) -> None:
     save_file({"a": torch.zeros(1)}, path)
     with pytest.raises(ObjectsError, match="its format is None"):
         read_objects(path)
-    tensors = pack([Draw(0, "a", (1,), random_objects(2, 1), np.array([0, 1]))], ["a"], 1)
+    tensors = pack([Draw(0, "a", (1,), random_objects(2, 1), np.array([0, 1]), surfaces(2))], ["a"], 1)
     write_objects(path, tensors | {"score_O": torch.zeros(1)}, ["a"])
     with pytest.raises(ObjectsError, match="do not belong together"):
         read_objects(path)

@@ -145,7 +145,8 @@ def test_pushing_alone_is_told_as_before(inputs: Inputs, reports: Path, tmp_path
     build(replace(CFG, tasks=("pushing",)), inputs, {"trials": 0}, tmp_path)
     alone, both = (json.loads((folder / "metrics.json").read_text()) for folder in (tmp_path, reports))
     more = {"falling", "ratio_falling", "falling_by_objects", "detector_falling", "capture_falling"}
-    assert alone.pop("futures") == {"pushing": both.pop("futures")["pushing"]}
+    for key in ("futures", "contact_ratio", "certainty", "sense"):
+        assert alone.pop(key) == {"pushing": both.pop(key)["pushing"]}
     assert alone == {key: value for key, value in both.items() if key not in more} and more < both.keys()
     assert not list(tmp_path.rglob("*falling*")) and not (tmp_path / "table2.md").exists()
     assert (tmp_path / "table1.md").read_bytes() == (reports / "table1.md").read_bytes()
@@ -225,3 +226,24 @@ def test_rows_as_the_other_stages_write_them_are_read(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text(",".join(TRIALS) + "\n")
     with (tmp_path / "t.csv").open() as file:
         assert next(csv.reader(file)) == list(TRIALS)
+
+
+def test_surfaces_certainty_and_ablations_are_told(reports: Path) -> None:
+    """In the made-up rows contact errs seven times as much as what is first in the order, graph_xyz twice."""
+    tree = json.loads((reports / "metrics.json").read_text())
+    ratio = tree["contact_ratio"]["falling"]["graph_xyz"]["translation_mm"]["5"]
+    assert ratio["interval_95"][0] <= ratio["ratio"] <= ratio["interval_95"][1]
+    sizes = [name for name in MODELS if name not in VIDEO_MODELS]
+    assert ratio["ratio"] == pytest.approx((sizes.index("contact") + 1) / (sizes.index("graph_xyz") + 1), rel=0.1)
+    sure = tree["certainty"]["pushing"]["contact"]["1view_pred"]
+    assert sure["1"]["within_50"] == 0.0 and sure["1"]["within_90"] == 1.0 and sure["5"]["nll_same"] == 3.5
+    assert set(tree["certainty"]["pushing"]) == {"contact"}, "only models that tell how sure they are"
+    sense = tree["sense"]["falling"]["oes"]
+    assert sense["penetration_mm"] == 0.0 and sense["n"] == 28 and sense["n_still"] == 0
+    (row,) = [line for line in (reports / "sense.md").read_text().splitlines() if "| falling | 3D-OES |" in line]
+    assert "| 0.00 | 0.0% |  | 28 | 0 |" in row
+    assert tree["ablations"]["contact_300"]["translation_mm"]["5"]["ratio"] == 1.0
+    ablations = (reports / "ablations.md").read_text().splitlines()
+    asked = ("3D-OES", "Contact", "Contact, fewer steps", "300 episodes")
+    assert [name for name in asked if any(line.startswith(f"| {name} |") for line in ablations)] == list(asked)
+    assert "contact_300" not in (reports / "table1.csv").read_text()

@@ -10,6 +10,7 @@ from oes.report.rows import ERRORS, RowsError, read_columns
 from oes.report.study import forecast_tables, forecasts
 from oes.report.table import markdown
 from oes.rows import write_csv
+from tests.report_inputs import UNTOLD
 
 
 def _falls(path: Path) -> Path:
@@ -31,6 +32,8 @@ def _falls(path: Path) -> Path:
             "surface_mm": T / 2,
             "moved": object_i < 2,
             "detected": True,
+            "penetration_mm": 0.0,
+            **UNTOLD,
         }
         for model in ("graph_xyz", "oes")
         for num_objects in (2, 3, 4)

@@ -14,6 +14,7 @@ from oes.report.rows import ERRORS, TRIALS, RowsError, read_columns, select
 from oes.report.table import latex, markdown, write_table
 from oes.report.trials import outcomes, trials_table
 from oes.rows import write_csv
+from tests.report_inputs import UNTOLD
 
 
 def _errors(path: Path) -> Path:
@@ -42,6 +43,8 @@ def _errors(path: Path) -> Path:
                             "surface_mm": factor * 2 * T * (object_i + 1) * (10 if episode_i == 2 else 1),
                             "moved": object_i == 0,
                             "detected": not (episode_i == 0 and object_i == 1),
+                            "penetration_mm": 0.0,
+                            **UNTOLD,
                         }
                     )
     write_csv(path, rows, list(rows[0]))

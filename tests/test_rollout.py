@@ -24,6 +24,17 @@ CFG = load(Path(__file__).parents[1] / "params.yaml", "rollouts", Rollouts)
 SURFACES = {f"mesh_{i}": trimesh.creation.icosphere(2, 0.04).vertices for i in range(2)}
 
 
+class Apart:
+    """Nothing is ever in anything."""
+
+    def depths_mm(self, episode: Episode, world_T_obj_TN44: Floats) -> Floats:
+        return np.zeros(world_T_obj_TN44.shape[:2])
+
+
+def truth_for(num: int) -> tuple[torch.Tensor, torch.Tensor]:
+    return torch.zeros(num, 6, 32), torch.zeros(num, 3)
+
+
 def make_scene(episode: Episode, truth: list[int], beside_m: float = 0.0) -> Scene:
     center = (
         np.array([episode.steps[0].center_N3[i] if i >= 0 else np.zeros(3) for i in truth]).reshape(-1, 3) + beside_m
@@ -66,8 +77,11 @@ def test_a_missed_object_is_forecast_to_stay() -> None:
 def store(tmp_path: Path) -> ObjectStore:
     episode = make_episode(num_steps=6)
     scenes = [make_scene(episode, truth) for truth in ([0, 1], [1, -1], [])]
-    draws = [Draw(0, "1view_gt", (3,), scenes[0].objects, np.array([0, 1]))]
-    draws += [Draw(0, "1view_pred", (3,), s.objects, np.array(s.truth, dtype=np.int64)) for s in scenes[1:]]
+    draws = [Draw(0, "1view_gt", (3,), scenes[0].objects, np.array([0, 1]), truth_for(2))]
+    draws += [
+        Draw(0, "1view_pred", (3,), s.objects, np.array(s.truth, dtype=np.int64), truth_for(len(s.truth)))
+        for s in scenes[1:]
+    ]
     settings = ["1view_gt", "1view_pred"]
     write_objects(tmp_path / "objects.safetensors", pack(draws, settings, 5), settings)
     return read_objects(tmp_path / "objects.safetensors")
@@ -75,7 +89,9 @@ def store(tmp_path: Path) -> ObjectStore:
 
 def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(store: ObjectStore) -> None:
     episode = make_episode(num_steps=6)
-    rows = list(split_rows(Imagined(Static()), store, {0: episode}, SURFACES, ("pushing", "static", "test1"), CFG))
+    rows = list(
+        split_rows(Imagined(Static()), store, {0: episode}, SURFACES, Apart(), ("pushing", "static", "test1"), CFG)
+    )
     assert len(rows) == 3 * 2 * 5
     true = truth_of(episode, episode.steps[0].center_N3)
     for row in rows:
@@ -89,7 +105,7 @@ def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(sto
 
 
 def test_episodes_that_are_missing_are_skipped(store: ObjectStore) -> None:
-    assert list(split_rows(Imagined(Static()), store, {}, SURFACES, ("pushing", "static", "test1"), CFG)) == []
+    assert list(split_rows(Imagined(Static()), store, {}, SURFACES, Apart(), ("pushing", "static", "test1"), CFG)) == []
 
 
 def test_the_simulator_foresees_the_truth_when_mass_and_friction_are_the_means(tmp_path: Path) -> None:

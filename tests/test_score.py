@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
@@ -19,6 +20,7 @@ from tests.blocks import make_catalogue
 from tests.test_rollout import make_scene
 
 CFG = load(Path("params.yaml"), "rollouts", Rollouts)
+TRUTH = (torch.zeros(1, 6, 32), torch.zeros(1, 3))
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ def test_the_forecast_of_what_happened_looks_like_it(tmp_path: Path) -> None:
     setting = CFG.strips.setting
     write_objects(
         tmp_path / "objects.safetensors",
-        pack([Draw(0, setting, (3,), make_scene(episode, [0]).objects, np.array([0]))], [setting], 5),
+        pack([Draw(0, setting, (3,), make_scene(episode, [0]).objects, np.array([0]), TRUTH)], [setting], 5),
         [setting],
     )
     store = read_objects(tmp_path / "objects.safetensors")

@@ -12,6 +12,7 @@ from oes.control.cost import Avoid
 from oes.control.plan import Proposals
 from oes.control.proposals import Push, Rod, Search
 from oes.dynamics.graph import Motion, ObjectState
+from oes.dynamics.unroll import Model
 from oes.episode import Camera, Floats, Frames, Step
 from oes.meshes.catalogue import Catalogue
 from oes.objects import Objects
@@ -53,6 +54,7 @@ PLANNING = Planning(
     push=Push(attempts=4, length_m=(0.03, 0.06), clearance_m=(0.01, 0.02), aim=0.3, turn_deg=0.0),
     avoid=Avoid(margin_m=0.008, hit_m=1.0),
     track=Track(match_m=0.08, unseen_size_m=0.07, mask=0.5),
+    aversion=0.5,
 )
 
 
@@ -105,16 +107,18 @@ class Oracle:
             image_NV3HW=torch.zeros(count, 1, 3, 32, 32, dtype=torch.uint8),
             camera_NV12=torch.zeros(count, 1, 12),
             view_NV=torch.ones(count, 1, dtype=torch.bool),
+            outline_NRK3=torch.zeros(count, 6, 32, 3),
+            mass_N3=torch.zeros(count, 3),
         )
 
 
-class Shove:
+class Shove(Model):
     """Whatever the rod's path would run into is carried along by the rest of the path."""
 
     def appearance(self, objects: Objects) -> Tensor:
         return objects.center_N3[..., :0]
 
-    def __call__(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
+    def forward(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
         length_B1 = action_B3.norm(dim=-1, keepdim=True)
         forward_B3 = action_B3 / length_B1
         offset_BN3 = (state.center_BN3 - tip_world_B3[:, None]) * torch.tensor([1.0, 1, 0])

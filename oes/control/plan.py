@@ -32,13 +32,15 @@ class Proposals:
 class Imagined:
     """What S plans would do: the rod's way (I = H + 1 places), where each of N objects gets to and how it turns.
 
-    ``cost_SH``, of a model that judges for itself: metres to the goals, as it sees it.
+    ``cost_SH``, of a model that judges for itself: metres to the goals, as it sees it. Of a model that draws several
+    futures of every plan, S counts them all, draw by draw, and ``draws`` says how many.
     """
 
     tip_SI3: Tensor
     position_SHN3: Tensor
     turned_SHN33: Tensor
     cost_SH: Tensor | None = None
+    draws: int = 1
 
 
 @dataclass(frozen=True)
@@ -56,17 +58,30 @@ Unroll = Callable[[Proposals], Imagined]
 Cost = Callable[[Imagined], Tensor]  # SH: of every plan, were it to end after each of its steps
 
 
-def search(propose: Propose, unroll: Unroll, cost: Cost, rounds: int = 1, elites: int = 1) -> Plan:
+def risk_averse(cost_FH: Tensor, draws: int, aversion: float) -> Tensor:
+    """What plans cost, SH, of which each has ``draws`` futures: the mean and ``aversion`` standard deviations."""
+    cost_DSH = cost_FH.reshape(draws, -1, cost_FH.shape[-1])
+    if draws == 1:
+        return cost_DSH[0]
+    mean_SH = cost_DSH.mean(0)
+    spread_SH = (cost_DSH - mean_SH).nan_to_num(nan=0.0).square().mean(0).sqrt()
+    return mean_SH + aversion * spread_SH
+
+
+def search(
+    propose: Propose, unroll: Unroll, cost: Cost, rounds: int = 1, elites: int = 1, aversion: float = 0.0
+) -> Plan:
     """The best plan of ``rounds`` rounds; each after the first is proposed from the ``elites`` best of the last.
 
-    Raises PlanError when no candidate has a finite cost: a diverged model plans nothing.
+    ``aversion``: see ``risk_averse``. Raises PlanError when no candidate has a finite cost: a diverged model plans
+    nothing.
     """
     best: Plan | None = None
     drawn: Tensor | None = None
     for _ in range(rounds):
         proposals = propose(drawn)
         imagined = unroll(proposals)
-        cost_SH = torch.nan_to_num(cost(imagined), nan=torch.inf)
+        cost_SH = torch.nan_to_num(risk_averse(cost(imagined), imagined.draws, aversion), nan=torch.inf)
         assert cost_SH.shape == proposals.actions_SH3.shape[:2], cost_SH.shape
         cost_S, stop_S = cost_SH.min(dim=1)
         order = cost_S.argsort()

@@ -3,13 +3,20 @@
 from torch import nn
 
 from oes.dynamics.bounds import Simulator, Static
+from oes.dynamics.contact import Contact
 from oes.dynamics.models import OES, GraphXYZ, GraphXYZImage, GraphXYZImageFixed
 
 MODELS: dict[str, type[nn.Module]] = {
     "static": Static,
     "simulator": Simulator,
     "oes": OES,
+    "contact": Contact,
     "graph_xyz": GraphXYZ,
     "graph_xyz_image": GraphXYZImage,
     "graph_xyz_image_fixed": GraphXYZImageFixed,
 }
+
+VARIANTS = dict.fromkeys(
+    ("contact_short", "contact_true", "contact_still", "contact_step", "contact_100", "contact_300"), "contact"
+)
+"""Models of ``MODELS`` trained otherwise, for the ablations, by word."""

@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from oes.config import params
+from oes.geom.polar import directions, radius_in
 from oes.objects import Objects
 
 HALF = 0.5
@@ -83,7 +84,38 @@ def moved_objects(seen: Objects, new_M_old_B33: Tensor, shift_BN3: Tensor, voxel
         crop_NCXYZ=_resampled(seen.crop_NCXYZ, M, shift_BN3 / voxel_m),
         image_NV3HW=torch.where(flip_B[:, None, None, None, None, None], seen.image_NV3HW.flip(-1), seen.image_NV3HW),
         camera_NV12=_cameras(seen.camera_NV12, M, flip_B),
+        outline_NRK3=_outlines(seen.outline_NRK3, M, shift_BN3),
+        mass_N3=(seen.mass_N3 - shift_BN3) @ M.mT,
     )
+
+
+def _outlines(outline_BNRK3: Tensor, M_B33: Tensor, shift_BN3: Tensor) -> Tensor:
+    """Outlines around the shifted points in the mapped world: where the line from there in each new direction meets the
+    old outline is found by two steps of a fixed point, exact for a shift of nothing."""
+    batch, num, rows, count, _ = outline_BNRK3.shape
+    wanted_BK2 = directions(count) @ M_B33[:, :2, :2]
+    flat_PRKC = outline_BNRK3.flatten(0, 1).movedim(-1, 1).flatten(1, 2)
+    wanted_PK2 = wanted_BK2[:, None].expand(-1, num, -1, -1).flatten(0, 1)
+    shift_P12 = shift_BN3[..., :2].reshape(-1, 1, 2)
+    band_RK = torch.arange(3 * rows)[:, None].expand(-1, count)
+    toward_PRK2 = wanted_PK2[:, None].expand(-1, rows, -1, -1)
+    for _ in range(2):
+        radius_PRK = _read(flat_PRKC, band_RK[:rows], toward_PRK2)
+        met_PRK2 = radius_PRK[..., None] * toward_PRK2 - shift_P12[:, None]
+        miss_PRK2 = wanted_PK2[:, None] * met_PRK2.norm(dim=-1, keepdim=True) - met_PRK2
+        aim_PRK2 = toward_PRK2 * radius_PRK.clamp(min=1e-3)[..., None] + miss_PRK2
+        toward_PRK2 = aim_PRK2 / aim_PRK2.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    radius_PRK = _read(flat_PRKC, band_RK[:rows], toward_PRK2)
+    met_PRK = (radius_PRK[..., None] * toward_PRK2 - shift_P12[:, None]).norm(dim=-1)
+    others = [_read(flat_PRKC, band_RK[i * rows : (i + 1) * rows], toward_PRK2) for i in (1, 2)]
+    moved = torch.stack([torch.where(radius_PRK > 0, met_PRK, radius_PRK), *others], -1)
+    return moved.reshape(batch, num, rows, count, 3)
+
+
+def _read(flat_PCK: Tensor, band_RK: Tensor, toward_PRK2: Tensor) -> Tensor:
+    """Values PRK of some rows of stacked functions of direction."""
+    band_PQ = band_RK.flatten().expand(len(flat_PCK), -1)
+    return radius_in(flat_PCK, band_PQ, toward_PRK2.flatten(1, 2)).reshape(toward_PRK2.shape[:-1])
 
 
 def _cameras(camera_BNV12: Tensor, M_B33: Tensor, flip_B: Tensor) -> Tensor:

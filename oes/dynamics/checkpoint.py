@@ -7,12 +7,13 @@ from torch import nn
 from oes.config import from_json, to_json
 from oes.dynamics import MODELS
 from oes.dynamics.bounds import Simulator
+from oes.dynamics.certainty import Certainty
 from oes.dynamics.models import Learned, Net, Seen
 from oes.dynamics.unroll import Model
 from oes.weights import read_tensors, write_tensors
 
 FILE = "model.safetensors"
-FORMAT = "oes-dynamics-1"
+FORMAT = "oes-dynamics-2"
 
 
 class CheckpointError(ValueError):
@@ -25,6 +26,7 @@ def save_model(folder: Path, model: nn.Module) -> None:
     about = {"format": FORMAT, "model": word}
     if isinstance(model, Learned):
         about |= {"net": to_json(model.net), "seen": to_json(model.seen)}
+        about |= {"certainty": to_json(model.certainty)} if model.certainty is not None else {}
     write_tensors(model.state_dict(), folder / FILE, about)
 
 
@@ -53,6 +55,8 @@ def load(folder: Path) -> Model | Simulator:
     if issubclass(kind, Learned):
         net = from_json(about.get("net", "null"), Net, f"{path}: net")
         model = kind(net, from_json(about.get("seen", "null"), Seen, f"{path}: seen"))
+        if "certainty" in about:
+            model.certainty = from_json(about["certainty"], Certainty, f"{path}: certainty")
     else:
         model = kind()
     try:

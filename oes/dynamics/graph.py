@@ -28,7 +28,8 @@ class ObjectState:
 
     ``center_BN3`` is the reference point (the box centre at t = 0, carried along), ``velocity_BN3`` its last
     displacement and ``spin_BN3`` the last rotation (as a vector, radians); ``moved_BN3`` is its displacement since
-    t = 0, ``turned_BN33`` the rotation since t = 0.
+    t = 0, ``turned_BN33`` the rotation since t = 0. ``twist_BN3`` is the velocity on the table at this moment (m/s,
+    m/s, rad/s) of models that follow it, else 0.
     """
 
     center_BN3: Tensor
@@ -36,6 +37,7 @@ class ObjectState:
     spin_BN3: Tensor
     moved_BN3: Tensor
     turned_BN33: Tensor
+    twist_BN3: Tensor
     valid_BN: Tensor
 
 
@@ -47,6 +49,7 @@ def mirrored(state: ObjectState, mirror_33: Tensor) -> ObjectState:
         spin_BN3=-state.spin_BN3 @ mirror_33,
         moved_BN3=state.moved_BN3 @ mirror_33,
         turned_BN33=mirror_33 @ state.turned_BN33 @ mirror_33,
+        twist_BN3=state.twist_BN3 * state.twist_BN3.new_tensor([1.0, -1.0, -1.0]),
         valid_BN=state.valid_BN,
     )
 
@@ -72,10 +75,12 @@ def whole(appearance_BNC: Tensor) -> Sight:
 
 @dataclass(frozen=True)
 class Motion:
-    """One step of every object: displacement of its reference point (metres) and rotation vector, in world axes."""
+    """One step of every object: displacement of its reference point (metres) and rotation vector, in world axes; its
+    velocity afterwards, of models that follow it (see ``ObjectState``)."""
 
     dp_BN3: Tensor
     spin_BN3: Tensor
+    twist_BN3: Tensor | None = None
 
 
 def mlp(inputs: int, width: int, layers: int) -> nn.Sequential:

@@ -8,6 +8,8 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
+from oes.dynamics import MODELS, VARIANTS
+from oes.dynamics.augment import Augment
 from oes.dynamics.bounds import Simulator
 from oes.dynamics.examples import Examples, examples
 from oes.dynamics.models import Learned, Seen
@@ -30,24 +32,48 @@ class Scenes(Protocol):
     def scene(self, draw_i: int) -> tuple[Objects, Tensor]:
         """The draw's objects and the true object of each (-1: none)."""
 
+    def with_true_surfaces(self) -> "Scenes":
+        """The same with the surfaces that the objects truly have."""
+
 
 def learn(
-    kind: type[nn.Module], cfg: Dynamics, scenes: Scenes, episodes: Mapping[int, Episode], work: Path
+    word: str, cfg: Dynamics, scenes: Scenes, episodes: Mapping[int, Episode], work: Path
 ) -> tuple[nn.Module, Rows]:
-    """Make a model of ``kind``: train what learns, measure what the simulator needs, and nothing for static.
+    """Make the model of ``MODELS`` or ``VARIANTS`` called ``word``: train what learns, measure what the simulator
+    needs, and nothing for static.
 
     ``episodes`` by their number; draws of an episode that is missing are left out. Returns the model and the rows of
     its log. Progress is kept in ``work``.
     """
+    if word in VARIANTS:
+        cfg, episodes = varied(word, cfg, episodes)
+    kind = MODELS[VARIANTS.get(word, word)]
     if issubclass(kind, Learned):
+        settings = cfg.fit_of(word)
+        if cfg.net.contact.true_surfaces:
+            scenes = scenes.with_true_surfaces()
         seen, data = gather(kind, cfg, scenes, episodes)
-        torch.manual_seed(cfg.fit.seed)
+        torch.manual_seed(settings.seed)
         learned = kind(cfg.net, seen)
-        return learned, train(learned, data, cfg, work)
+        return learned, train(learned, data, cfg, settings, work)
     model = kind()
     if isinstance(model, Simulator):
         model.measure(list(episodes.values()))
     return model, []
+
+
+def varied(word: str, cfg: Dynamics, episodes: Mapping[int, Episode]) -> tuple[Dynamics, Mapping[int, Episode]]:
+    """Settings and episodes of a variant. Raises ValueError where ``cfg.variants`` lacks it."""
+    if word not in cfg.variants:
+        raise ValueError(f"dynamics.variants has no {word!r}; it has: {', '.join(cfg.variants)}")
+    variant, like = cfg.variants[word], cfg.fit_of(VARIANTS[word])
+    return replace(
+        cfg,
+        net=replace(cfg.net, contact=replace(cfg.net.contact, true_surfaces=variant.true_surfaces)),
+        augment=cfg.augment if variant.augment else Augment(turn=False, mirror=False, shift_m=0.0),
+        fits=cfg.fits | {word: replace(like, steps=variant.steps, checkpoint_every_steps=variant.steps)},
+        unroll=variant.unroll,
+    ), dict(list(episodes.items())[: variant.episodes or None])
 
 
 def gather(
@@ -65,7 +91,13 @@ def gather(
     if not found:
         raise ValueError(f"no object in any draw of {', '.join(cfg.draws[kind.DRAWS])}")
     first = found[0][0]
-    seen = Seen(first.crop_NCXYZ.shape[1], first.crop_NCXYZ.shape[-1], cfg.voxel_m, first.image_NV3HW.shape[-1])
+    seen = Seen(
+        first.crop_NCXYZ.shape[1],
+        first.crop_NCXYZ.shape[-1],
+        cfg.voxel_m,
+        first.image_NV3HW.shape[-1],
+        *first.outline_NRK3.shape[1:3],
+    )
     data = examples(
         [(_needed(kind, cfg, objects), truth.tolist()) for objects, truth, _ in found],
         [episodes[episode_i] for *_, episode_i in found],
@@ -79,4 +111,6 @@ def _needed(kind: type[Learned], cfg: Dynamics, objects: Objects) -> Objects:
     """Half-precision crops of the channels read, and images, only for those who look at them: all stays in memory."""
     channels = cfg.net.crop.read if kind.READS_CROPS else 0
     objects = replace(objects, crop_NCXYZ=objects.crop_NCXYZ[:, :channels].half())
+    if not kind.READS_SURFACES:
+        objects = replace(objects, outline_NRK3=objects.outline_NRK3[:, :1, :1].clone())
     return objects if kind.READS_IMAGES else replace(objects, image_NV3HW=objects.image_NV3HW[..., :1, :1].clone())

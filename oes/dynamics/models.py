@@ -10,6 +10,7 @@ from oes.config import params
 from oes.dynamics.augment import moved_objects
 from oes.dynamics.graph import Graph, GraphNet, Motion, ObjectState, halving, mirrored, mlp, whole
 from oes.dynamics.relief import RELIEF_OWN, RELIEF_PAIR, ReliefSight
+from oes.dynamics.skin import ContactNet
 from oes.dynamics.slabs import Crop, SlabSight, fold
 from oes.dynamics.unroll import Model
 from oes.objects import Objects
@@ -27,21 +28,25 @@ class ImageNet:
 
 @params
 class Net:
-    """The networks: the graph that all models share and the two ways of reading appearance."""
+    """The networks: the graph that all models share and the three ways of seeing objects."""
 
     graph: Graph
     crop: Crop
     image: ImageNet
+    contact: ContactNet
 
 
 @params
 class Seen:
-    """Sizes of what perception delivers, which a network must fit: crop channels, side and voxel, image side."""
+    """Sizes of what perception delivers, which a network must fit: crop channels, side and voxel, image side, rows and
+    directions of outlines."""
 
     crop_channels: int
     crop_side: int
     voxel_m: float
     image_side_px: int
+    outline_rows: int
+    outline_directions: int
 
 
 class Learned(Model):
@@ -54,6 +59,7 @@ class Learned(Model):
     DRAWS: ClassVar[str] = "random"
     READS_CROPS: ClassVar[bool] = False
     READS_IMAGES: ClassVar[bool] = False
+    READS_SURFACES: ClassVar[bool] = False
     mirror_33: Tensor
 
     def __init__(self, net: Net, seen: Seen, appearance: int = 0, contact: int = 0) -> None:

@@ -11,11 +11,25 @@ from torch import Tensor, nn
 from oes.checkpoint import Fit
 from oes.config import params
 from oes.dynamics.augment import Augment, Batch, augment
+from oes.dynamics.certainty import Certainty, calibrated, lengths
 from oes.dynamics.examples import Examples
 from oes.dynamics.loss import errors, loss_terms
 from oes.dynamics.models import Net
-from oes.dynamics.unroll import Model, unroll
+from oes.dynamics.unroll import Model, single_steps, unroll
 from oes.fit import fit
+
+
+@params
+class Variant:
+    """The model ``contact`` trained otherwise, for the ablations: steps of training (validated at the end), episodes to
+    learn from (0: all), through the unroll or by single steps from true states, whether scenes are augmented, and
+    surfaces the true ones."""
+
+    steps: int
+    episodes: int
+    unroll: bool
+    augment: bool
+    true_surfaces: bool
 
 
 @params
@@ -24,6 +38,8 @@ class Dynamics:
 
     ``draws`` lists the settings of each kind of views: ``random`` ones, or the ``fixed`` one. ``voxel_m`` is the size
     of the crops' voxels, ``held_out`` the share of training episodes that only validate; ``soft`` see ``loss_terms``.
+    ``unroll``: whether errors run back through the unroll, or every step begins at the true state.
+    ``fits`` are those of the models that are trained otherwise than by ``fit``; ``variants`` of ``contact``, by word.
     """
 
     draws: dict[str, tuple[str, ...]]
@@ -31,9 +47,17 @@ class Dynamics:
     augment: Augment
     weights: dict[str, float]
     soft: float
+    unroll: bool
     held_out: float
     voxel_m: float
     fit: Fit
+    fits: dict[str, Fit]
+    variants: dict[str, Variant]
+
+    def fit_of(self, word: str) -> Fit:
+        """How a model is trained: ``fit``, but for those that have one of their own."""
+        found: Fit = self.fits.get(word, self.fit)
+        return found
 
 
 @params
@@ -51,21 +75,34 @@ class Tasks:
         return found
 
 
-def train(model: Model, examples: Examples, cfg: Dynamics, work: Path) -> list[dict[str, float]]:
+def train(model: Model, examples: Examples, cfg: Dynamics, settings: Fit, work: Path) -> list[dict[str, float]]:
     """Train in place; the log's rows carry the errors (mm, deg) on held-out episodes as the run goes."""
     train_D, held_D = examples.split(cfg.held_out)
 
     def batch_at(step: int) -> Batch:
-        generator = torch.Generator().manual_seed(cfg.fit.seed * 1_000_003 + step)
-        chosen = torch.randint(len(train_D), (cfg.fit.batch,), generator=generator)
+        generator = torch.Generator().manual_seed(settings.seed * 1_000_003 + step)
+        chosen = torch.randint(len(train_D), (settings.batch,), generator=generator)
         return augment(examples.batch(train_D[chosen]), cfg.augment, examples.voxel_m, generator)
 
     def loss(learner: nn.Module, batch: Batch) -> Mapping[str, Tensor]:
-        found = unroll(cast(Model, learner), batch.objects, batch.tip_B3, batch.actions_BT3)
+        run, truth = (unroll, ()) if cfg.unroll else (single_steps, (batch.translation_BTN3, batch.rotation_BTN33))
+        found = run(cast(Model, learner), batch.objects, batch.tip_B3, batch.actions_BT3, *truth)
         return loss_terms(found, batch, cfg.net.graph.unit_m, cfg.soft)
 
     def validate(learner: nn.Module) -> Mapping[str, float]:
         held = examples.batch(held_D)
         return errors(unroll(cast(Model, learner), held.objects, held.tip_B3, held.actions_BT3), held)
 
-    return fit(model, batch_at, loss, cfg.weights, cfg.fit, work, torch.device("cpu"), validate)
+    rows = fit(model, batch_at, loss, cfg.weights, settings, work, torch.device("cpu"), validate)
+    if model.drawn > 1:
+        model.certainty = certainty_on(model, examples.batch(held_D))
+    return rows
+
+
+@torch.no_grad()
+def certainty_on(model: Model, held: Batch) -> Certainty:
+    """What a trained model's draws are worth on scenes it has not learned from."""
+    found = unroll(model, held.objects, held.tip_B3, held.actions_BT3)
+    assert found.spread_BTN is not None
+    away = lengths(found.translation_BTN3, held.translation_BTN3, found.spread_BTN, held.objects.valid_N)
+    return calibrated(*away)

@@ -7,12 +7,24 @@ import roma
 import torch
 from torch import Tensor, nn
 
+from oes.dynamics.certainty import Certainty
 from oes.dynamics.graph import Motion, ObjectState
 from oes.objects import Objects
 
 
 class Model(ABC, nn.Module):
     """A one-step forecaster: appearance once, from the first frame, then one call a step."""
+
+    certainty: Certainty | None = None
+
+    @property
+    def drawn(self) -> int:
+        """How many futures make up a forecast: 1, but for models that draw what cannot be seen."""
+        return 1
+
+    def redrawn(self, appearance_BNC: Tensor) -> Tensor:
+        """Appearances (DB)NC of all that the model draws, draw by draw; the first is of the objects as they seem."""
+        return appearance_BNC
 
     @abstractmethod
     def appearance(self, objects: Objects) -> Tensor:
@@ -28,18 +40,21 @@ class Unrolled:
     """Motion of N objects since t = 0 after each of T actions, in world axes.
 
     ``translation_BTN3`` is the displacement (metres) of the reference point, the box centre at t = 0;
-    ``rotation_BTN33`` the rotation about it: x goes to rotation (x - center) + center + translation.
+    ``rotation_BTN33`` the rotation about it: x goes to rotation (x - center) + center + translation. ``scale_BTN``: how
+    far off the translation may be (metres; see ``oes.dynamics.certainty``), of models that tell.
     """
 
     translation_BTN3: Tensor
     rotation_BTN33: Tensor
+    scale_BTN: Tensor | None = None
+    spread_BTN: Tensor | None = None
 
 
 def at_rest(center_BN3: Tensor, valid_BN: Tensor) -> ObjectState:
     """The state at t = 0: nothing has moved."""
     eye = torch.eye(3, dtype=center_BN3.dtype, device=center_BN3.device).expand(*center_BN3.shape, 3)
     zero = torch.zeros_like(center_BN3)
-    return ObjectState(center_BN3, zero, zero, zero, eye, valid_BN)
+    return ObjectState(center_BN3, zero, zero, zero, eye, zero, valid_BN)
 
 
 def advance(state: ObjectState, motion: Motion) -> ObjectState:
@@ -50,6 +65,7 @@ def advance(state: ObjectState, motion: Motion) -> ObjectState:
         spin_BN3=motion.spin_BN3,
         moved_BN3=state.moved_BN3 + motion.dp_BN3,
         turned_BN33=roma.rotvec_to_rotmat(motion.spin_BN3) @ state.turned_BN33,
+        twist_BN3=state.twist_BN3 if motion.twist_BN3 is None else motion.twist_BN3,
         valid_BN=state.valid_BN,
     )
 
@@ -66,7 +82,24 @@ def unroll(model: Model, objects: Objects, tip_B3: Tensor, actions_BT3: Tensor) 
 def unroll_from(
     model: Model, appearance_BNC: Tensor, state: ObjectState, tip_B3: Tensor, actions_BT3: Tensor
 ) -> Unrolled:
-    """As ``unroll``, from any state and a given appearance: a planner computes it once, expanded over its plans."""
+    """As ``unroll``, from any state and a given appearance: the mean of the model's futures."""
+    if model.drawn == 1:
+        return future_from(model, appearance_BNC, state, tip_B3, actions_BT3)
+    many = ObjectState(**{name: _repeated(x, model.drawn) for name, x in vars(state).items()})
+    pushes = _repeated(tip_B3, model.drawn), _repeated(actions_BT3, model.drawn)
+    found = future_from(model, model.redrawn(appearance_BNC), many, *pushes)
+    translation_DBTN3 = found.translation_BTN3.reshape(model.drawn, *actions_BT3.shape[:2], -1, 3)
+    mean_BTN3 = translation_DBTN3.mean(0)
+    spread_BTN = (translation_DBTN3 - mean_BTN3).square().sum(-1).mean(0).sqrt()
+    rotation_BTN33 = roma.special_procrustes(found.rotation_BTN33.reshape(*translation_DBTN3.shape, 3).mean(0))
+    scale_BTN = None if model.certainty is None else model.certainty.scale(spread_BTN)
+    return Unrolled(mean_BTN3, rotation_BTN33, scale_BTN, spread_BTN)
+
+
+def future_from(
+    model: Model, appearance_BNC: Tensor, state: ObjectState, tip_B3: Tensor, actions_BT3: Tensor
+) -> Unrolled:
+    """One future of each appearance: a planner computes those once, expanded over its plans."""
     assert actions_BT3.ndim == 3 and actions_BT3.shape[0] == appearance_BNC.shape[0], actions_BT3.shape
     translations, rotations = [], []
     for action_B3 in actions_BT3.unbind(1):
@@ -75,3 +108,37 @@ def unroll_from(
         translations.append(state.moved_BN3)
         rotations.append(state.turned_BN33)
     return Unrolled(torch.stack(translations, 1), torch.stack(rotations, 1))
+
+
+def single_steps(
+    model: Model,
+    objects: Objects,
+    tip_B3: Tensor,
+    actions_BT3: Tensor,
+    translation_BTN3: Tensor,
+    rotation_BTN33: Tensor,
+) -> Unrolled:
+    """Each step forecast alone, from the true state before it; motion is still counted since t = 0."""
+    steps, first = actions_BT3.shape[1], at_rest(objects.center_N3, objects.valid_N)
+    moved_BTN3 = torch.cat([torch.zeros_like(translation_BTN3[:, :1]), translation_BTN3], 1)
+    turned_BTN33 = torch.cat([first.turned_BN33[:, None], rotation_BTN33], 1)
+    last_BTN3 = torch.cat([moved_BTN3[:, :1], moved_BTN3[:, :-1]], 1)
+    last_BTN33 = torch.cat([turned_BTN33[:, :1], turned_BTN33[:, :-1]], 1)
+    state = ObjectState(
+        center_BN3=(first.center_BN3[:, None] + moved_BTN3)[:, :-1].flatten(0, 1),
+        velocity_BN3=(moved_BTN3 - last_BTN3)[:, :-1].flatten(0, 1),
+        spin_BN3=roma.rotmat_to_rotvec(turned_BTN33 @ last_BTN33.mT)[:, :-1].flatten(0, 1),
+        moved_BN3=moved_BTN3[:, :-1].flatten(0, 1),
+        turned_BN33=turned_BTN33[:, :-1].flatten(0, 1),
+        twist_BN3=torch.zeros_like(moved_BTN3[:, :-1]).flatten(0, 1),
+        valid_BN=first.valid_BN.repeat_interleave(steps, 0),
+    )
+    appearance_CNC = model.appearance(objects).repeat_interleave(steps, 0)
+    tip_BT3 = tip_B3[:, None] + torch.cat([torch.zeros_like(actions_BT3[:, :1]), actions_BT3[:, :-1]], 1).cumsum(1)
+    after = advance(state, model(appearance_CNC, state, tip_BT3.flatten(0, 1), actions_BT3.flatten(0, 1)))
+    return Unrolled(after.moved_BN3.reshape(translation_BTN3.shape), after.turned_BN33.reshape(rotation_BTN33.shape))
+
+
+def _repeated(x_B: Tensor, times: int) -> Tensor:
+    """So many copies, one after the other."""
+    return x_B.repeat(times, *[1] * (x_B.ndim - 1))

@@ -17,12 +17,15 @@ from torch import Tensor
 from tqdm import tqdm
 
 from oes.config import params
+from oes.objects import Objects
 from oes.percept.evaluate import Row, detection_rows, match, truth_of, view_row
 from oes.percept.network import Scene
 from oes.percept.perceiver import Perceiver
 from oes.percept.samples import Source
+from oes.percept.shell import Shells
 from oes.percept.solids import Solids
 from oes.percept.store import Draw, joined, pack
+from oes.percept.surface import base
 from oes.weights import write_tensors
 
 FIXED, TRUE, JITTERED, FOUND = "fixed", "true", "jittered", "found"
@@ -87,6 +90,7 @@ class Observer:
     cfg: Draws
     perceiver: Perceiver
     source: Source
+    shells: Shells
     solids: Solids | None
 
     @property
@@ -109,7 +113,7 @@ class Observer:
             for name in names:
                 centers, sizes, scores, gt_N = self._boxes(self.settings[name].boxes, scene, episode_i, rng)
                 objects = self.perceiver.objects(scene, centers, sizes, scores, frames, cameras)
-                draws.append(Draw(episode_i, name, tuple(views), objects, gt_N))
+                draws.append(Draw(episode_i, name, tuple(views), objects, gt_N, self._truth(episode_i, objects, gt_N)))
             if self.solids is not None and self.settings[names[0]].views in SCORED_VIEWS:
                 seen: Row = {"episode": episode_i, "step": 0, "num_views": len(views)}
                 truth = truth_of(self.source.episodes[episode_i], 0, self.solids)
@@ -118,6 +122,19 @@ class Observer:
                 row = view_row(self.perceiver, scene, every_frame.of([query_i]), rig[query_i])
                 predictions.append(seen | {"camera": query_i} | row)
         return draws, detections, predictions
+
+    def _truth(self, episode_i: int, objects: Objects, gt_N: NDArray[np.int64]) -> tuple[Tensor, Tensor]:
+        """True outlines' radii NRK and centres of mass N3 of perceived objects, from their perceived centres."""
+        radius_NRK = torch.full(objects.outline_NRK3.shape[:-1], torch.nan)
+        mass_N3 = torch.full_like(objects.center_N3, torch.nan)
+        found = np.flatnonzero(gt_N >= 0)
+        foot_N3 = objects.center_N3.clone()
+        foot_N3[:, 2] = base(objects.center_N3, objects.size_N3)
+        true_radius, true_mass = self.shells.outlines(
+            self.source.episodes[episode_i], 0, foot_N3[found].double().numpy(), gt_N[found].tolist()
+        )
+        radius_NRK[found], mass_N3[found] = torch.from_numpy(true_radius).float(), torch.from_numpy(true_mass).float()
+        return radius_NRK, mass_N3 - objects.center_N3
 
     def _plan(self, order: Sequence[int]) -> Iterator[tuple[list[int], list[str]]]:
         """The sets of views to encode, each with the settings that use it. ``order``: cameras, the last the query."""

@@ -13,16 +13,18 @@ from torchmetrics.functional.image import peak_signal_noise_ratio, structural_si
 from oes.episode import Camera, Episode, Floats, Frames
 from oes.geom.boxes import iou
 from oes.geom.voxels import Grid, voxelize
-from oes.measure import Boxes, average_precision
+from oes.measure import Boxes, average_precision, chamfer_mm, normal_deg
 from oes.percept.network import Scene
 from oes.percept.perceiver import Perceiver
+from oes.percept.shell import points_of
 from oes.percept.solids import Solids
+from oes.percept.surface import base
 
 MATCH_M = 0.06
 Row = dict[str, float | None]
 BOX_COLUMNS = ("x_m", "y_m", "z_m", "width_m", "depth_m", "height_m")
 DETECTION_COLUMNS = (
-    *("episode", "step", "num_views", "score", "iou", "centre_mm", "mask_iou"),
+    *("episode", "step", "num_views", "score", "iou", "centre_mm", "mask_iou", "chamfer_mm", "normal_deg"),
     *BOX_COLUMNS,
     *(f"true_{name}" for name in BOX_COLUMNS),
 )
@@ -31,18 +33,21 @@ VIEW_COLUMNS = ("episode", "step", "num_views", "camera", "psnr_db", "ssim")
 
 @dataclass(frozen=True)
 class Truth:
-    """The true objects of one state: boxes (world axes) and points that fill each."""
+    """The true objects of one state: boxes (world axes), points that fill each, and points of the surface of each with
+    their normals (both world)."""
 
     center_N3: Floats
     size_N3: Floats
     solids: tuple[Floats, ...]
+    surfaces: tuple[tuple[Floats, Floats], ...]
 
 
 def truth_of(episode: Episode, step_i: int, solids: Solids) -> Truth:
     """The truth of one recorded state. Raises KeyError where the catalogue lacks a mesh."""
     step = episode.steps[step_i]
     posed = [solids.posed(body, pose) for body, pose in zip(episode.bodies, step.world_T_obj_N44, strict=True)]
-    return Truth(step.center_N3, step.size_N3, tuple(posed))
+    surfaces = [solids.surface(body, pose) for body, pose in zip(episode.bodies, step.world_T_obj_N44, strict=True)]
+    return Truth(step.center_N3, step.size_N3, tuple(posed), tuple(surfaces))
 
 
 def match(found_N3: Floats, true_M3: Floats) -> NDArray[np.int64]:
@@ -71,19 +76,43 @@ def detection_rows(perceiver: Perceiver, scene: Scene, truth: Truth) -> list[Row
     hits = [i for i, true_i in enumerate(gt_N) if true_i >= 0]
     mask = perceiver.crops(scene, centers[None, hits], sizes[None, hits])[0, :, 0].float().cpu()
     masks = mask_ious(mask, centers[hits], perceiver.net.roi.window, [truth.solids[gt_N[i]] for i in hits])
-    mask_iou = dict(zip(hits, masks.tolist(), strict=True))
+    shapes = _surface_errors(
+        perceiver, scene, (centers[hits], sizes[hits]), mask, [truth.surfaces[gt_N[i]] for i in hits]
+    )
+    quality = {i: (masks[k], *shapes[k]) for k, i in enumerate(hits)}
     boxes = torch.cat([centers, sizes], dim=1).double().numpy()
     true_boxes = np.concatenate([truth.center_N3, truth.size_N3], axis=1)
     rows = [
-        _detection(boxes[i], float(scores[i]), true_boxes[true_i] if true_i >= 0 else None, mask_iou.get(i))
+        _detection(boxes[i], float(scores[i]), true_boxes[true_i] if true_i >= 0 else None, quality.get(i))
         for i, true_i in enumerate(gt_N)
     ]
     missed = [true_i for true_i in range(len(true_boxes)) if true_i not in gt_N]
     return rows + [_boxes_row(None, true_boxes[true_i]) for true_i in missed]
 
 
+def _surface_errors(
+    perceiver: Perceiver,
+    scene: Scene,
+    boxes: tuple[Tensor, Tensor],
+    mask_NXYZ: Tensor,
+    surfaces: Sequence[tuple[Floats, Floats]],
+) -> list[tuple[float, float]]:
+    """Chamfer distance (mm) and error of the normals (degrees) of the completed surface of each matched detection."""
+    outline_NRK3 = perceiver.surfaces(scene, *boxes, mask_NXYZ)[0].float().cpu()
+    foot_N3 = torch.cat([boxes[0][:, :2], base(*boxes)[:, None]], -1)
+    top_N = boxes[0][:, 2] + boxes[1][:, 2] / 2 - foot_N3[:, 2]
+    errors = []
+    for outline, foot_3, top, (true_P3, true_normal_P3) in zip(outline_NRK3, foot_N3, top_N, surfaces, strict=True):
+        points_P3, normal_P3 = points_of(outline, perceiver.net.cfg.surface.cylinder, float(top))
+        found_P3, found_normal_P3 = (points_P3 + foot_3).double().numpy(), normal_P3.double().numpy()
+        angle = normal_deg(found_P3, found_normal_P3, true_P3, true_normal_P3)
+        errors.append((chamfer_mm(found_P3, true_P3), angle))
+    return errors
+
+
 def detector_figures(rows: Sequence[Row]) -> dict[str, float]:
-    """``ap_25``, ``ap_50``; means over matched detections of ``mask_iou`` and ``centre_mm`` (without any: 0 and NaN).
+    """``ap_25``, ``ap_50``; means over matched detections of ``mask_iou``, ``centre_mm``, ``chamfer_mm`` and
+    ``normal_deg`` (without any: 0, and NaN).
 
     ``rows`` are those of ``detection_rows`` with a column ``episode`` that tells scenes apart.
     """
@@ -96,7 +125,9 @@ def detector_figures(rows: Sequence[Row]) -> dict[str, float]:
         "ap_25": average_precision(boxes, scores, true_boxes, 0.25),
         "ap_50": average_precision(boxes, scores, true_boxes, 0.5),
         "mask_iou": float(np.mean(_column(matched, "mask_iou"))) if matched else 0.0,
-        "centre_mm": float(np.mean(_column(matched, "centre_mm"))) if matched else float("nan"),
+    } | {
+        name: float(np.mean(_column(matched, name))) if matched else float("nan")
+        for name in ("centre_mm", "chamfer_mm", "normal_deg")
     }
 
 
@@ -115,16 +146,18 @@ def picture_quality(guess_HW3: NDArray[np.uint8], true_HW3: NDArray[np.uint8]) -
     return {"psnr_db": float(peak_signal_noise_ratio(guess, true, data_range=1.0)), "ssim": float(ssim)}
 
 
-def _detection(box_6: Floats, score: float, true_6: Floats | None, mask_iou: float | None) -> Row:
-    row = _boxes_row(box_6, true_6) | {"score": score, "mask_iou": mask_iou}
-    if true_6 is None:
+def _detection(box_6: Floats, score: float, true_6: Floats | None, quality: tuple[float, float, float] | None) -> Row:
+    """``quality`` of a match: of its mask, of its surface and of that's normals."""
+    row = _boxes_row(box_6, true_6) | {"score": score}
+    if true_6 is None or quality is None:
         return row
+    row |= dict(zip(("mask_iou", "chamfer_mm", "normal_deg"), map(float, quality), strict=True))
     overlap = float(iou(box_6[:3], box_6[3:], true_6[:3], true_6[3:]))
     return row | {"iou": overlap, "centre_mm": float(np.linalg.norm(box_6[:3] - true_6[:3]) * 1e3)}
 
 
 def _boxes_row(box_6: Floats | None, true_6: Floats | None) -> Row:
-    row: Row = dict.fromkeys(("score", "iou", "centre_mm", "mask_iou"))
+    row: Row = dict.fromkeys(("score", "iou", "centre_mm", "mask_iou", "chamfer_mm", "normal_deg"))
     for prefix, values in (("", box_6), ("true_", true_6)):
         for column_i, name in enumerate(BOX_COLUMNS):
             row[prefix + name] = None if values is None else float(values[column_i])

@@ -14,6 +14,7 @@ from oes.percept.detector import RARE_LOGIT, Detector, DetectorHead, apply_delta
 from oes.percept.lift import NUM_GEOMETRY, Lift, Views, lift
 from oes.percept.rays import Field
 from oes.percept.roi import Roi, RoiHead, RoiOutput
+from oes.percept.surface import Surface, SurfaceHead
 
 
 @params
@@ -32,6 +33,7 @@ class Network:
     detector: Detector
     roi: Roi
     decoder: Decoder
+    surface: Surface
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class PerceptionNet(nn.Module):
     def __init__(self, cfg: Network) -> None:
         super().__init__()
         self.cfg, self.coarse_grid = cfg, cfg.grid.halved()
-        lifted = NUM_GEOMETRY + 3 + cfg.image_features
+        lifted = self.lifted = NUM_GEOMETRY + 3 + cfg.image_features
         self.register_buffer("points", fold_order(centers(cfg.grid)), persistent=False)
         self.register_buffer("voxels", centers(self.coarse_grid), persistent=False)
         self.image = ImageNet(cfg.image_features)
@@ -91,6 +93,7 @@ class PerceptionNet(nn.Module):
         self.roi = RoiHead(cfg.roi, cfg.lift, lifted, cfg.channels[0])
         self.backdrop = BackdropNet(cfg.decoder.backdrop, lifted, cfg.map_features)
         self.decoder = ViewDecoder(cfg.decoder, cfg.map_features)
+        self.surface = SurfaceHead(cfg.surface, lifted)
 
     def encode(self, views: Views) -> Scene:
         """The scenes seen by ``views`` (one or more each, all scenes the same number, in any order)."""

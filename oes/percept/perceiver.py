@@ -20,7 +20,7 @@ from oes.percept.network import Network, PerceptionNet, Scene
 from oes.percept.rays import Field
 from oes.weights import read_tensors, write_tensors
 
-FORMAT = "oes-perception-2"
+FORMAT = "oes-perception-3"
 IMAGE_PX = 32
 NUM_SURFACE = 2
 IMAGE_MARGIN = 1.15
@@ -87,6 +87,34 @@ class Perceiver:
         features = crop(scene_map, self.net.cfg.grid, boxes[0], window)
         return torch.cat([mask_BNXYZ[:, :, None], self._surfaces(scene, boxes[0]) * around, features * around], dim=2)
 
+    @torch.inference_mode()
+    def cylinders(
+        self, scene: Scene, centers_BN3: Tensor, sizes_BN3: Tensor, mask_BNXYZ: Tensor | None = None
+    ) -> Tensor:
+        """Inputs (BN)CKL of the surface head for boxes of B scenes; the masks are those of ``crops``, if at hand."""
+        head, (batch, count) = self.net.surface, centers_BN3.shape[:2]
+        boxes = (centers_BN3.to(self.device), sizes_BN3.to(self.device))
+        if mask_BNXYZ is None:
+            with half_precision(self.device):
+                mask_BNXYZ = self.net.regions(scene, boxes).mask_BKXYZ.sigmoid()
+        flat = boxes[0].flatten(0, 1), boxes[1].flatten(0, 1)
+        places = head.places(*flat).reshape(batch, -1, 3)
+        lifted = lift(self.net.cfg.lift, scene.views, scene.features_BVHWC, places).reshape(
+            batch * count, -1, self.net.lifted
+        )
+        return head.inputs(lifted, mask_BNXYZ.to(self.device).flatten(0, 1), self.net.roi.window, *flat)
+
+    @torch.inference_mode()
+    def surfaces(self, scene: Scene, centers_N3: Tensor, sizes_N3: Tensor, mask_NXYZ: Tensor) -> tuple[Tensor, Tensor]:
+        """Completed surfaces of objects of one scene: outlines NRK3 and centres of mass N3, as in ``Objects``."""
+        cylinder = self.net.cfg.surface.cylinder
+        if not len(centers_N3):
+            return centers_N3.new_zeros(0, cylinder.rows, cylinder.directions, 3), centers_N3.new_zeros(0, 3)
+        inputs_NCKL = self.cylinders(scene, centers_N3[None], sizes_N3[None], mask_NXYZ[None])
+        with half_precision(self.device):
+            found = self.net.surface(inputs_NCKL)
+        return found.outline(), found.mass_P3
+
     def _surfaces(self, scene: Scene, centers_BN3: Tensor) -> Tensor:
         """The two geometric channels of ``crops``, BN2XYZ, straight from the depth images."""
         window = self.net.roi.window
@@ -107,8 +135,10 @@ class Perceiver:
     ) -> Objects:
         """Objects (unbatched, on the CPU) of one scene at the given boxes, true or detected; N may be 0."""
         boxes = (centers_N3.float().cpu(), sizes_N3.float().cpu())
-        crops = self.crops(scene, boxes[0][None], boxes[1][None])[0].float().cpu()
-        return objects_of(boxes, scores_N.float().cpu(), crops, frames, cameras)
+        crops = self.crops(scene, boxes[0][None], boxes[1][None])[0]
+        outline_NRK3, mass_N3 = self.surfaces(scene, *boxes, crops[:, 0])
+        surface = (outline_NRK3.float().cpu(), mass_N3.float().cpu())
+        return objects_of(boxes, scores_N.float().cpu(), crops.float().cpu(), surface, frames, cameras)
 
     @torch.inference_mode()
     def fields(self, scene: Scene) -> tuple[Field, Field]:
@@ -136,9 +166,14 @@ class Perceiver:
 
 
 def objects_of(
-    boxes: tuple[Tensor, Tensor], scores_N: Tensor, crop_NCXYZ: Tensor, frames: Frames, cameras: Sequence[Camera]
+    boxes: tuple[Tensor, Tensor],
+    scores_N: Tensor,
+    crop_NCXYZ: Tensor,
+    surface: tuple[Tensor, Tensor],
+    frames: Frames,
+    cameras: Sequence[Camera],
 ) -> Objects:
-    """Put together what is known of N objects; ``boxes`` holds centres N3 and sizes N3."""
+    """Put together what is known of N objects: ``boxes`` (centres N3, sizes N3), ``surface`` (outlines, masses)."""
     count = len(boxes[0])
     rows = torch.from_numpy(np.stack([camera.world_T_cam_44[:3].reshape(12) for camera in cameras])).float()
     return Objects(
@@ -150,6 +185,8 @@ def objects_of(
         image_NV3HW=image_crops(boxes, frames, cameras),
         camera_NV12=rows.expand(count, -1, -1).clone(),
         view_NV=torch.ones(count, len(cameras), dtype=torch.bool),
+        outline_NRK3=surface[0],
+        mass_N3=surface[1],
     )
 
 

@@ -17,9 +17,11 @@ Points = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Solids:
-    """P points for each catalogue mesh (obj frame, unit scale): hull corners, surface and interior."""
+    """P points for each catalogue mesh (obj frame, unit scale): hull corners, surface and interior. ``skins``: points
+    of its surface alone, with their unit normals."""
 
     points: Mapping[str, Points]
+    skins: Mapping[str, tuple[Floats, Floats]]
 
     def posed(self, body: Body, world_T_obj_44: Floats) -> Floats:
         """The points of one body in the world, P3. Raises KeyError naming a mesh that the catalogue lacks."""
@@ -27,10 +29,27 @@ class Solids:
             raise KeyError(f"mesh {body.mesh!r} is not in the catalogue ({len(self.points)} meshes)")
         return transform(world_T_obj_44, self.points[body.mesh] * body.scale_3)
 
+    def surface(self, body: Body, world_T_obj_44: Floats) -> tuple[Floats, Floats]:
+        """Points of one body's surface in the world and their outward unit normals, P3 each."""
+        points_P3, normal_P3 = self.skins[body.mesh]
+        scaled_P3 = normal_P3 / body.scale_3
+        unit_P3 = scaled_P3 / np.linalg.norm(scaled_P3, axis=-1, keepdims=True)
+        return transform(world_T_obj_44, points_P3 * body.scale_3), unit_P3 @ world_T_obj_44[:3, :3].T
+
 
 def solids_of(catalogue: Catalogue, count: int) -> Solids:
     """``count`` points for every mesh of a catalogue; the same catalogue gives the same points."""
-    return Solids({mesh.id: solid_points(mesh.visual, mesh.parts, count, seed=0) for mesh in catalogue.meshes.values()})
+    meshes = catalogue.meshes.values()
+    return Solids(
+        {mesh.id: solid_points(mesh.visual, mesh.parts, count, seed=0) for mesh in meshes},
+        {mesh.id: skin(mesh.visual, count // 4) for mesh in meshes},
+    )
+
+
+def skin(visual: trimesh.Trimesh, count: int) -> tuple[Floats, Floats]:
+    """``count`` points of a surface and the unit normals of their faces, count x 3 each."""
+    points_P3, face_P = trimesh.sample.sample_surface(visual, count, seed=0)
+    return np.asarray(points_P3), np.asarray(visual.face_normals[face_P])
 
 
 def solid_points(visual: trimesh.Trimesh, parts: tuple[trimesh.Trimesh, ...], count: int, seed: int) -> Points:

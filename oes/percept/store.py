@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from oes.objects import Objects
+from oes.percept.surface import LEAST_SCALE_M
 from oes.weights import read_tensors, write_tensors
 
-FORMAT = "oes-objects-2"
+FORMAT = "oes-objects-3"
 DTYPES = {
     "draw_O": torch.int32,
     "gt_O": torch.int32,
@@ -27,6 +28,10 @@ DTYPES = {
     "image_OV3HW": torch.uint8,
     "camera_OV12": torch.float32,
     "view_OV": torch.bool,
+    "outline_ORK3": torch.float16,
+    "mass_O3": torch.float32,
+    "true_radius_ORK": torch.float16,
+    "true_mass_O3": torch.float32,
     "episode_D": torch.int32,
     "setting_D": torch.int32,
     "num_views_D": torch.int32,
@@ -40,13 +45,17 @@ class ObjectsError(ValueError):
 
 @dataclass(frozen=True)
 class Draw:
-    """One scene as perceived: ``gt_N`` is the true object of each (-1: none), ``views`` the cameras that saw it."""
+    """One scene as perceived: ``gt_N`` is the true object of each (-1: none), ``views`` the cameras that saw it.
+
+    ``truth``: radii NRK of the true outlines and true centres of mass N3, from the perceived centres (NaN: no object).
+    """
 
     episode_i: int
     setting: str
     views: tuple[int, ...]
     objects: Objects
     gt_N: NDArray[np.int64]
+    truth: tuple[Tensor, Tensor]
 
 
 @dataclass(frozen=True)
@@ -76,6 +85,17 @@ class ObjectStore:
         """The cameras that saw the draw."""
         return tuple(int(view) for view in self.tensors["views_DV"][draw_i] if view >= 0)
 
+    def with_true_surfaces(self) -> "ObjectStore":
+        """The same scenes, each object with its true surface and centre of mass; false detections as seen."""
+        radius_ORK, seen_ORK3 = self.tensors["true_radius_ORK"].float(), self.tensors["outline_ORK3"].float()
+        sure_ORK = torch.full_like(radius_ORK, LEAST_SCALE_M)
+        true_ORK3 = torch.stack([radius_ORK, sure_ORK, (radius_ORK > 0).float()], -1)
+        is_true_O = self.tensors["gt_O"] >= 0
+        outline_ORK3 = torch.where(is_true_O[:, None, None, None], true_ORK3, seen_ORK3)
+        mass_O3 = torch.where(is_true_O[:, None], self.tensors["true_mass_O3"], self.tensors["mass_O3"])
+        tensors = self.tensors | {"outline_ORK3": outline_ORK3, "mass_O3": mass_O3}
+        return ObjectStore(self.settings, tensors, self.start_D)
+
     def scene(self, draw_i: int) -> tuple[Objects, Tensor]:
         """The draw's objects (unbatched, float32, all valid; views padded) and ``gt_N`` (-1: none)."""
         rows = slice(int(self.start_D[draw_i]), int(self.start_D[draw_i + 1]))
@@ -89,6 +109,8 @@ class ObjectStore:
             image_NV3HW=part["image_OV3HW"],
             camera_NV12=part["camera_OV12"],
             view_NV=part["view_OV"],
+            outline_NRK3=part["outline_ORK3"].float(),
+            mass_N3=part["mass_O3"],
         )
         return objects, part["gt_O"].long()
 
@@ -108,6 +130,10 @@ def pack(draws: Sequence[Draw], settings: Sequence[str], num_views: int) -> dict
         "image_OV3HW": torch.cat([_padded(scene.image_NV3HW, num_views) for scene in scenes]),
         "camera_OV12": torch.cat([_padded(scene.camera_NV12, num_views) for scene in scenes]),
         "view_OV": torch.cat([_padded(scene.view_NV, num_views) for scene in scenes]),
+        "outline_ORK3": torch.cat([scene.outline_NRK3 for scene in scenes]),
+        "mass_O3": torch.cat([scene.mass_N3 for scene in scenes]),
+        "true_radius_ORK": torch.cat([draw.truth[0] for draw in draws]),
+        "true_mass_O3": torch.cat([draw.truth[1] for draw in draws]),
         "episode_D": torch.tensor([draw.episode_i for draw in draws]),
         "setting_D": torch.tensor([settings.index(draw.setting) for draw in draws]),
         "num_views_D": torch.tensor([len(draw.views) for draw in draws]),

@@ -15,7 +15,9 @@ from oes.percept.losses import LOSS_TERMS, Batch, losses
 from oes.percept.network import Network, PerceptionNet
 from oes.percept.perceiver import Perceiver
 from oes.percept.samples import Sampler, Sampling, Source
+from oes.percept.shell import Shells
 from oes.percept.solids import Solids
+from oes.percept.surface_train import SurfaceLessons, train_surface
 
 
 @params
@@ -25,7 +27,7 @@ class Perception:
     ``weights`` of the loss terms; ``num_proposals`` of the net's own boxes a scene train the second stage and
     ``num_rendered`` scenes a batch, unmoved, the view decoder. ``num_solid_points`` describe each mesh. The last
     ``validation_share`` of the episodes, at most ``num_validation`` of them, are never trained on. One network serves
-    all ``tasks``: it learns from the training episodes of each.
+    all ``tasks``: it learns from the training episodes of each. ``surface``: how its surface head is trained after it.
     """
 
     tasks: tuple[str, ...]
@@ -38,6 +40,7 @@ class Perception:
     validation_share: float
     num_validation: int
     fit: Fit
+    surface: SurfaceLessons
 
     def __post_init__(self) -> None:
         """Raises ValueError (a ParamsError when read from params.yaml) where the weights do not name the losses."""
@@ -46,9 +49,10 @@ class Perception:
 
 
 def train(
-    cfg: Perception, source: Source, solids: Solids, work: Path, device: torch.device
-) -> tuple[Perceiver, list[dict[str, float]]]:
-    """Train from scratch, or go on from the progress kept in ``work``. The perceiver, and the log's rows."""
+    cfg: Perception, source: Source, solids: Solids, shells: Shells, work: Path, device: torch.device
+) -> tuple[Perceiver, list[dict[str, float]], list[dict[str, float]]]:
+    """Train from scratch, or go on from the progress kept in ``work``. The perceiver, the rows of its log, and those of
+    the surface head's, which is trained once all else is."""
     count = len(source.episodes)
     held_out = min(max(1, round(count * cfg.validation_share)), cfg.num_validation)
     torch.manual_seed(cfg.fit.seed)
@@ -65,7 +69,10 @@ def train(
     )
     validate = partial(figures, source=source, solids=solids, episode_is=range(count - held_out, count), device=device)
     rows = fit(net, sampler.batch_at, _Loss(cfg, device), cfg.weights, cfg.fit, work, device, validate)
-    return Perceiver(net, device), rows
+    perceiver = Perceiver(net, device)
+    episode_is = (range(max(1, count - held_out)), range(count - held_out, count))
+    (work / "surface").mkdir(exist_ok=True)
+    return perceiver, rows, train_surface(perceiver, source, shells, cfg.surface, episode_is, work / "surface")
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from oes.report.perception import detector_table, view_table, views_key
 from oes.report.site import Fact, write_site
 from oes.report.strips import forecast_films
 from oes.report.study import VARIED, forecast_tables
+from oes.report.surfaces import surface_tables, surface_tree
 from oes.report.table import Table, write_table
 from oes.report.trials import trials_table
 from oes.report.video import copy_forecasts, video_table
@@ -69,6 +70,7 @@ def _tables(found: Findings, cfg: Tables) -> list[Table]:
     line = found.line
     return [
         *(table for chapter in found.chapters.values() for table in forecast_tables(chapter.found, [chapter.line])),
+        *surface_tables(found.chapters, cfg.seed, (line,)),
         *(trials_table(each, _table3(name, cfg), name, (line,)) for name, each in found.control.items()),
         *(_detector_table(chapter) for chapter in found.chapters.values()),
         view_table(found.views, (line,)),
@@ -114,6 +116,7 @@ def _tree(found: Findings, cfg: Tables) -> dict[str, object]:
         "mpc": {scenario: trials_tree(each) for scenario, each in found.control.items()},
         **({"video": found.video} if found.video else {}),
         **({"futures": futures_tree(found.futures)} if found.futures else {}),
+        **surface_tree(found.chapters, cfg.seed),
         "view_prediction": {**found.views[views_key(1)], **found.views},
     }
 

@@ -8,6 +8,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from oes.report.names import VARIANTS
 from oes.report.rows import Columns, select
 from oes.weights import ordered
 
@@ -36,13 +37,17 @@ def copy_half(source: Path, target: Path) -> None:
     target.write_bytes(ordered(save(halved, about)))
 
 
+def _is_variant(folder: str) -> bool:
+    return folder.partition("-")[2] in VARIANTS
+
+
 def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
-    """``perception/`` and ``dynamics/<task>-<model>/``; what is large, in half precision.
+    """``perception/`` and ``dynamics/<task>-<model>/``, but for ablations; what is large, in half precision.
 
     Raises FileNotFoundError when there is no dynamics model.
     """
     copy_half(perception / "perception.safetensors", folder / "perception" / "perception.safetensors")
-    models = sorted(dynamics.glob("*/model.safetensors"))
+    models = [path for path in sorted(dynamics.glob("*/model.safetensors")) if not _is_variant(path.parent.name)]
     if not models:
         raise FileNotFoundError(f"{dynamics}: holds no model.safetensors in any folder")
     for source in models:

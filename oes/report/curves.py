@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from oes.report.figures import STYLE, save_figure
-from oes.report.names import COLOURS, MODELS, in_order
+from oes.report.names import COLOURS, MODELS, VARIANTS, in_order
 from oes.report.rows import Columns, select
 
 BINS = 8
@@ -65,7 +65,7 @@ def write_curves(perception: Path, dynamics: Path, detections: Mapping[str, Colu
         captions["learning-perception"] = "Perception: training."
     for task in detections:
         logs = {path.parent.name.split("-")[1]: path for path in sorted(dynamics.glob(f"{task}-*/log.csv"))}
-        logs = {word: path for word, path in logs.items() if len(_read(path)) and "mm_5" in path.read_text()}
+        logs = {word: path for word, path in logs.items() if word not in VARIANTS and "mm_5" in path.read_text()}
         if logs:
             learning(logs, DYNAMICS, folder / f"learning-{task}")
             captions[f"learning-{task}"] = f"Dynamics, {task}: training."

@@ -9,9 +9,10 @@ import numpy as np
 from oes.config import params
 from oes.report.card import Card, read_card, read_cards
 from oes.report.futures import Futures, read_futures
+from oes.report.names import VARIANTS
 from oes.report.perception import VIEWS, detector_figures, read_detections, view_figures
 from oes.report.provenance import describe_machine, provenance
-from oes.report.rows import ERRORS, TRIALS, Columns, read_columns, select
+from oes.report.rows import ERRORS, TRIALS, Columns, kept, read_columns, select
 from oes.report.study import STUDIES, Forecasts, forecasts
 from oes.report.trials import Outcome, outcomes
 from oes.report.video import Figures, video_figures
@@ -46,9 +47,11 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Chapter:
-    """What is told of one task: forecasts, detections and their figures, training episodes, where it all is from."""
+    """What is told of one task: forecasts and all rows behind them (those of ablations too), detections and their
+    figures, training episodes, where it all is from."""
 
     found: Forecasts
+    rows: Columns
     detections: Columns
     detector: Mapping[str, Mapping[str, float]]
     card: Card
@@ -57,13 +60,13 @@ class Chapter:
 
 def read_chapter(task: str, cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], machine: str) -> Chapter:
     """The chapter of a task. Raises RowsError for rows that cannot be read or are of another task."""
-    rows = read_columns(sorted(inputs.rollouts.glob(f"{task}-*/errors.csv")), ERRORS)
-    found = forecasts(rows, cfg.seed)
+    every = read_columns(sorted(inputs.rollouts.glob(f"{task}-*/errors.csv")), ERRORS)
+    found = forecasts(rows := kept(every, ~np.isin(every["model"], list(VARIANTS))), cfg.seed)
     paths = [inputs.objects / f"{task}-{split}" / "detections.csv" for split in found.study.splits]
     detections = read_detections(paths)
     card = read_card(inputs.episodes / f"{task}-train" / "card.json", task)
     line = provenance(cfg.profile, {"train": card.episodes} | _counts(rows), seeds, machine)
-    return Chapter(found, detections, detector_figures(detections), card, line)
+    return Chapter(found, every, detections, detector_figures(detections), card, line)
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,7 @@ def _side(line: Line | None, is_first: bool) -> tuple[str, ...]:
     """
     if line is None:
         return ("",) * (len(HORIZONS) + 3)
-    means = (_interval(line.at[T]) if T in line.at else "" for T in HORIZONS)
+    means = (interval(line.at[T]) if T in line.at else "" for T in HORIZONS)
     median = f"{line.median[LAST]:.1f}" if LAST in line.median else ""
     return (*means, median, f"{100 * line.diverged:.1f}%" if is_first else "", str(line.n))
 
@@ -158,7 +158,8 @@ def _printed(line: Line) -> str:
     return " / ".join(f"{value:.1f}" for value in line.printed) if line.printed else ""
 
 
-def _interval(values: Interval) -> str:
+def interval(values: Interval) -> str:
+    """A mean and its interval, as printed."""
     return f"{values[0]:.1f} [{values[1]:.1f}, {values[2]:.1f}]"
 
 

@@ -10,10 +10,21 @@ MODELS = {
     "visual_foresight": "Visual Foresight",
     "planet": "PlaNet",
     "oes": "3D-OES",
+    "contact": "Contact",
     "simulator": "simulator",
 }
 
-OURS, BASELINE = "oes", "graph_xyz"
+OURS, BASELINE, SURFACES = "oes", "graph_xyz", "contact"
+
+VARIANTS = {
+    "contact_short": "Contact, fewer steps",
+    "contact_true": "+ true surfaces",
+    "contact_still": "- augmentation",
+    "contact_step": "- unroll (single steps)",
+    "contact_300": "300 episodes",
+    "contact_100": "100 episodes",
+}
+"""Models trained otherwise, that only the table of ablations shows."""
 
 SETTINGS = {
     "3views_gt": "3 views, true boxes",
@@ -44,6 +55,7 @@ COLOURS = {
     "visual_foresight": "#0072b2",
     "planet": "#cc79a7",
     "oes": "#d55e00",
+    "contact": "#882255",
     "simulator": "#000000",
 }
 

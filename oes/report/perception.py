@@ -15,11 +15,13 @@ DETECTIONS: dict[str, Any] = {
     "episode": int,
     "step": int,
     "num_views": int,
-    **dict.fromkeys(("score", "iou", "centre_mm", "mask_iou", *BOX, *(f"true_{name}" for name in BOX)), optional_float),
+    **dict.fromkeys(("score", "iou", "mask_iou", "centre_mm", "chamfer_mm", "normal_deg"), optional_float),
+    **dict.fromkeys((*BOX, *(f"true_{name}" for name in BOX)), optional_float),
 }
 VIEWS: dict[str, Any] = {"num_views": int, "psnr_db": float, "ssim": float}
 
-FIGURES = ("ap_25", "ap_50", "mask_iou", "centre_mm")
+FIGURES = ("ap_25", "ap_50", "mask_iou")
+LENGTHS = ("centre_mm", "chamfer_mm", "normal_deg")
 
 
 def views_key(num_views: int) -> str:
@@ -37,7 +39,8 @@ def read_detections(paths: Sequence[Path]) -> Columns:
 
 
 def detector_figures(rows: Columns) -> dict[str, dict[str, float]]:
-    """For each number of input views: AP at IoU 0.25 and 0.5; mask IoU and centre error (mm) of matched detections."""
+    """For each number of input views: AP at IoU 0.25 and 0.5; of matched detections mask IoU, centre error (mm),
+    Chamfer distance (mm) of the completed surface and the error of its normals (degrees)."""
     return {views_key(int(count)): _figures(select(rows, num_views=count)) for count in np.unique(rows["num_views"])}
 
 
@@ -61,6 +64,8 @@ def detector_table(
         "AP at IoU 0.5",
         "mask IoU",
         "centre error (mm)",
+        "surface: Chamfer (mm)",
+        "its normals (deg)",
         "true objects",
         "found boxes",
     )
@@ -71,8 +76,8 @@ def detector_table(
         cells=tuple(
             (
                 key,
-                *(f"{values[name]:.3f}" for name in FIGURES[:3]),
-                f"{values['centre_mm']:.1f}",
+                *(f"{values[name]:.3f}" for name in FIGURES),
+                *(f"{values[name]:.1f}" for name in LENGTHS),
                 f"{values['objects']:.0f}",
                 f"{values['boxes']:.0f}",
             )
@@ -108,7 +113,7 @@ def _figures(rows: Columns) -> dict[str, float]:
         "ap_25": average_precision(found, score_P, true, 0.25),
         "ap_50": average_precision(found, score_P, true, 0.5),
         "mask_iou": float(rows["mask_iou"][matched].mean()) if matched.any() else 0.0,
-        "centre_mm": float(rows["centre_mm"][matched].mean()) if matched.any() else float("nan"),
+        **{name: float(rows[name][matched].mean()) if matched.any() else float("nan") for name in LENGTHS},
         "objects": int(is_true.sum()),
         "boxes": int(is_found.sum()),
     }

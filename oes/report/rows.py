@@ -11,6 +11,12 @@ from numpy.typing import NDArray
 Columns = dict[str, NDArray[Any]]
 Kind = Callable[[Any], Any]  # a type, or a function that reads a cell
 
+
+def optional_float(text: str) -> float:
+    """A number, or NaN for an empty cell."""
+    return float(text) if text else float("nan")
+
+
 ERRORS: dict[str, Kind] = {
     "task": str,
     "model": str,
@@ -26,6 +32,12 @@ ERRORS: dict[str, Kind] = {
     "surface_mm": float,
     "moved": bool,
     "detected": bool,
+    "penetration_mm": float,
+    "scale_mm": optional_float,
+    "within_50": optional_float,
+    "within_90": optional_float,
+    "nll": optional_float,
+    "nll_same": optional_float,
 }
 
 TRIALS: dict[str, Kind] = {
@@ -89,11 +101,6 @@ def select(columns: Columns, **equal: object) -> Columns:
 def kept(columns: Columns, is_kept: NDArray[np.bool_]) -> Columns:
     """The rows for which a mask holds."""
     return {name: values[is_kept] for name, values in columns.items()}
-
-
-def optional_float(text: str) -> float:
-    """A number, or NaN for an empty cell."""
-    return float(text) if text else float("nan")
 
 
 def _value(text: str | None, kind: Kind, path: Path, line_i: int, name: str) -> object:

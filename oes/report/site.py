@@ -29,9 +29,17 @@ CHAPTERS = (
     Chapter(
         "Forecasts",
         "How far off is the imagined place of each object after T steps? Every model sees the same first photograph.",
-        ("table1", "table2", "by-objects", "by-views"),
+        ("table1", "table2", "by-objects", "by-views", "contact-ratios", "ablations"),
         ("error-over-time", "by-objects", "by-views"),
         ("rollouts",),
+    ),
+    Chapter(
+        "Certainty",
+        "Contact draws surfaces, masses and frictions as they might be: how far its futures differ tells how sure it "
+        "is. Do forecast objects stick in one another, or move though nothing touches them?",
+        ("certainty", "sense"),
+        (),
+        (),
     ),
     Chapter(
         "Imagination",

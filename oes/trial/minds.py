@@ -16,13 +16,15 @@ from torch import Tensor
 
 from oes.control.plan import Imagined, Proposals
 from oes.dynamics.checkpoint import load_model
-from oes.dynamics.unroll import Model, at_rest, unroll_from
+from oes.dynamics.unroll import Model, at_rest, future_from
 from oes.episode import Floats
 from oes.objects import Objects
 from oes.video.foresight import VisualForesight, expected, pixel_grid, unroll_pixels
 from oes.video.overhead import Overhead, OverheadView
 from oes.video.planet import PlaNet, unroll_latent
 from oes.video.train import is_video_model, load_video_model
+
+MOST_STEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -49,22 +51,28 @@ class Mind(Protocol):
 
 @dataclass(frozen=True)
 class GraphMind:
-    """A graph network over the perceived objects."""
+    """A graph network over the perceived objects. A model that draws futures is asked for several, but for plans so
+    many and so long that it would take more than ``MOST_STEPS`` steps of a scene; those get the one of what is seen."""
 
     model: Model
     view: None = None
 
     @torch.inference_mode()
     def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals) -> Imagined:
-        """Appearance is read once."""
-        samples, objects = len(proposals.tip_S3), belief.objects
+        """Appearance is read once; every plan meets the same draws of it."""
+        (samples, horizon, _), objects = proposals.actions_SH3.shape, belief.objects
         batched = Objects(**{name: value[None] for name, value in vars(objects).items()})
-        appearance_1NC = self.model.appearance(batched)
-        state = at_rest(batched.center_N3.expand(samples, -1, -1), batched.valid_N.expand(samples, -1))
-        appearance_SNC = appearance_1NC.expand(samples, -1, -1)
-        unrolled = unroll_from(self.model, appearance_SNC, state, proposals.tip_S3, proposals.actions_SH3)
-        position_SHN3 = objects.center_N3 + unrolled.translation_BTN3
-        return Imagined(_path(proposals), position_SHN3, unrolled.rotation_BTN33)
+        appearance_DNC = self.model.appearance(batched)
+        if samples * horizon * self.model.drawn <= MOST_STEPS:
+            appearance_DNC = self.model.redrawn(appearance_DNC)
+        draws = len(appearance_DNC)
+        appearance_FNC = appearance_DNC.repeat_interleave(samples, 0)
+        tip_F3, actions_FH3 = proposals.tip_S3.repeat(draws, 1), proposals.actions_SH3.repeat(draws, 1, 1)
+        futures = draws * samples
+        state = at_rest(batched.center_N3.expand(futures, -1, -1), batched.valid_N.expand(futures, -1))
+        found = future_from(self.model, appearance_FNC, state, tip_F3, actions_FH3)
+        position_FHN3 = objects.center_N3 + found.translation_BTN3
+        return Imagined(_path(proposals).repeat(draws, 1, 1), position_FHN3, found.rotation_BTN33, draws=draws)
 
 
 @dataclass(frozen=True)

@@ -36,11 +36,13 @@ class Track:
 
 @params
 class Planning:
-    """What every planner has in common: which pushes it may propose, what it avoids, how it follows the objects."""
+    """What every planner has in common: which pushes it may propose, what it avoids, how it follows the objects, and
+    how many standard deviations of a plan's cost count beside its mean, where a model draws several futures."""
 
     push: Push
     avoid: Avoid
     track: Track
+    aversion: float
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,7 @@ class Planner(Generic[Seen]):
             cost,
             search_cfg.rounds,
             search_cfg.elites,
+            self.cfg.aversion,
         )
         judges_itself = self.mind.view is not None  # then its cost is on a scale of its own
         return found if judges_itself or found.cost < cost.at_rest() else None

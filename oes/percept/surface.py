@@ -1,0 +1,166 @@
+"""The completed surface of an object, seen and unseen sides: an outline for every height, read off a cylinder.
+
+Around the box's vertical axis stand the points of a cylinder: so many directions, distances and bands of height. The
+views are lifted exactly at those points, and a network that runs around the cylinder tells, for each direction and
+band, how far out the object reaches, how sure that is, and whether there is any of it. A turn of the scene by one
+direction turns the answer by one: the network is equivariant by construction.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from oes.config import params
+from oes.geom.polar import directions
+from oes.geom.voxels import Grid, sample
+
+WHOLE, ABOVE, BANDS = 0, 1, 2  # rows of an outline: of all bands; of all but the lowest; then the bands, upwards
+RADIUS, SCALE, PRESENCE = 0, 1, 2  # what is known of it in each direction
+NUM_BOX = 3  # channels beside the lifted ones: mask, distance from the axis over the box's size, height over the box's
+UNIT_M = 0.05
+LEAST_SCALE_M = 3e-4
+GROUPS = 8
+
+
+@params
+class Cylinder:
+    """Points around an object: ``directions`` x ``distances`` (``step_m`` apart) x ``bands`` (of ``band_m``, from the
+    bottom of its box upwards)."""
+
+    directions: int
+    distances: int
+    step_m: float
+    bands: int
+    band_m: float
+
+    @property
+    def rows(self) -> int:
+        """How many outlines: ``WHOLE``, ``ABOVE`` and each band."""
+        return BANDS + self.bands
+
+    @property
+    def reach_m(self) -> float:
+        """The greatest radius."""
+        return self.distances * self.step_m
+
+
+@params
+class Surface:
+    """The cylinder, and the widths of the network: channels on the cylinder (halved in distance after each) and around
+    it."""
+
+    cylinder: Cylinder
+    channels: tuple[int, ...]
+    width: int
+
+
+@dataclass(frozen=True)
+class SurfaceOutput:
+    """For P objects: radius (metres), its scale (metres; of a Laplace law), presence as a logit, each PRK (R rows); and
+    the centre of mass from the box's centre, P3 (metres)."""
+
+    radius_PRK: Tensor
+    scale_PRK: Tensor
+    presence_PRK: Tensor
+    mass_P3: Tensor
+
+    def outline(self) -> Tensor:
+        """PRK3: radius, scale, presence (probability)."""
+        return torch.stack([self.radius_PRK, self.scale_PRK, self.presence_PRK.sigmoid()], -1)
+
+
+class Around(nn.Module):
+    """A residual block that runs around the cylinder: PCKL (directions, distances), or PCK1."""
+
+    def __init__(self, channels: int, kernel: tuple[int, int]) -> None:
+        super().__init__()
+        self.margin = (kernel[0] // 2, kernel[1] // 2)
+        self.first, self.second = (nn.Conv2d(channels, channels, kernel) for _ in range(2))
+        self.norms = nn.ModuleList(nn.GroupNorm(GROUPS, channels) for _ in range(2))
+        nn.init.zeros_(self.second.weight)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The same shape."""
+        inner = F.relu(self.norms[0](self.first(self._padded(x))))
+        return F.relu(self.norms[1](x + self.second(self._padded(inner))))
+
+    def _padded(self, x: Tensor) -> Tensor:
+        around, out = self.margin
+        x = torch.cat([x[:, :, -around:], x, x[:, :, :around]], 2)
+        return F.pad(x, (out, out, 0, 0))
+
+
+class SurfaceHead(nn.Module):
+    """What is lifted at the cylinders of P objects -> ``SurfaceOutput``."""
+
+    points: Tensor
+
+    def __init__(self, cfg: Surface, lifted: int) -> None:
+        super().__init__()
+        self.cfg = cfg
+        cylinder = cfg.cylinder
+        self.register_buffer("points", cylinder_points(cylinder), persistent=False)
+        widths = cfg.channels
+        self.stem = nn.Conv2d((lifted + NUM_BOX) * cylinder.bands, widths[0], 1)
+        self.blocks = nn.ModuleList(Around(width, (3, 3)) for width in widths)
+        self.downs = nn.ModuleList(nn.Conv2d(a, b, (1, 2), stride=(1, 2)) for a, b in pairwise((*widths, widths[-1])))
+        flat = widths[-1] * (cylinder.distances >> len(widths))
+        self.join = nn.Conv2d(flat, cfg.width, 1)
+        self.context = nn.Conv2d(cfg.width, cfg.width, 1)
+        self.rounds = nn.ModuleList(Around(cfg.width, (kernel, 1)) for kernel in (5, 9, 5))
+        self.out = nn.Conv2d(cfg.width, 3 * cylinder.rows + 2, 1)
+        nn.init.zeros_(self.out.weight)
+
+    def forward(self, inputs_PCKL: Tensor) -> SurfaceOutput:
+        """``inputs_PCKL``: what ``inputs`` gives."""
+        x = F.relu(self.stem(inputs_PCKL))
+        for block, down in zip(self.blocks, self.downs, strict=True):
+            x = F.relu(down(block(x)))
+        x = F.relu(self.join(x.movedim(-1, 2).flatten(1, 2)[..., None]))
+        for block in self.rounds:
+            x = block(x + self.context(x.mean(2, keepdim=True)))
+        out_PCK = self.out(x)[..., 0].float()
+        rows_PR3K = out_PCK[:, :-2].unflatten(1, (self.cfg.cylinder.rows, 3))
+        side_P2 = out_PCK[:, -2] @ directions(out_PCK.shape[-1], out_PCK.device) / out_PCK.shape[-1] * UNIT_M
+        return SurfaceOutput(
+            radius_PRK=F.softplus(rows_PR3K[:, :, RADIUS]) * UNIT_M,
+            scale_PRK=F.softplus(rows_PR3K[:, :, SCALE]) * UNIT_M / 10 + LEAST_SCALE_M,
+            presence_PRK=rows_PR3K[:, :, PRESENCE],
+            mass_P3=torch.cat([side_P2, out_PCK[:, -1:].mean(-1) * UNIT_M], -1),
+        )
+
+    def places(self, centers_P3: Tensor, sizes_P3: Tensor) -> Tensor:
+        """World points P(KLB)3 of the cylinders of P boxes."""
+        foot_P3 = torch.cat([centers_P3[:, :2], base(centers_P3, sizes_P3)[:, None]], -1)
+        return foot_P3[:, None] + self.points.reshape(-1, 3)
+
+    def inputs(
+        self, lifted_PQC: Tensor, mask_PXYZ: Tensor, window: Grid, centers_P3: Tensor, sizes_P3: Tensor
+    ) -> Tensor:
+        """PCKL for ``forward``: what the views say at ``places``, the mask and where that is in the box."""
+        offset_PQ3 = self.places(centers_P3, sizes_P3) - centers_P3[:, None]
+        mask_PQ1 = sample(mask_PXYZ[:, None].float(), window, offset_PQ3)
+        half_P13 = sizes_P3[:, None].clamp(min=1e-3) / 2
+        aside_PQ1 = (offset_PQ3 / half_P13)[..., :2].abs().amax(-1, keepdim=True).clamp(max=2)
+        up_PQ1 = (offset_PQ3 / half_P13)[..., 2:].clamp(-2, 2)
+        all_PQC = torch.cat([lifted_PQC.float(), mask_PQ1, aside_PQ1, up_PQ1], -1)
+        cylinder = self.cfg.cylinder
+        parts = all_PQC.reshape(len(all_PQC), cylinder.directions, cylinder.distances, cylinder.bands, -1)
+        return parts.flatten(3).movedim(-1, 1)
+
+
+def cylinder_points(cfg: Cylinder) -> Tensor:
+    """KLB3: the middles of a cylinder's cells, from the middle of its foot."""
+    distance_L = (torch.arange(cfg.distances) + 0.5) * cfg.step_m
+    height_B = (torch.arange(cfg.bands) + 0.5) * cfg.band_m
+    side_KL2 = directions(cfg.directions)[:, None] * distance_L[:, None]
+    side_KLB2 = side_KL2[:, :, None].expand(-1, -1, cfg.bands, -1)
+    return torch.cat([side_KLB2, height_B[:, None].expand(*side_KLB2.shape[:3], 1)], -1)
+
+
+def base(centers_P3: Tensor, sizes_P3: Tensor) -> Tensor:
+    """Heights P of the bottoms of boxes; never below the table."""
+    return (centers_P3[..., 2] - sizes_P3[..., 2] / 2).clamp(min=0)
