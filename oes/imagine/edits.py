@@ -13,6 +13,7 @@ from oes.geom.se3 import rotation_z
 from oes.geom.voxels import Grid, centers, sample
 from oes.imagine.compose import Poses
 from oes.objects import Objects
+from oes.percept.surface import scaled
 from oes.rollout import Scene
 
 
@@ -68,11 +69,15 @@ def resized(case: Case, i: int, factor: float, window: Grid) -> Case:
     bodies[true_i] = replace(bodies[true_i], scale_3=bodies[true_i].scale_3 * factor)
     objects, poses = case.scene.objects, case.poses
     up = torch.tensor([0, 0, float(objects.center_N3[i, 2]) * (factor - 1)])
-    crop_NCXYZ, size = objects.crop_NCXYZ.clone(), objects.size_N3.clone()
+    changed = {name: value.clone() for name, value in vars(objects).items()}
     points = (centers(window) / factor).reshape(1, -1, 3)
-    crop_NCXYZ[i] = sample(crop_NCXYZ[i, None].float(), window, points)[0].T.reshape(crop_NCXYZ[i].shape)
-    size[i] *= factor
-    objects = replace(objects, center_N3=_added(objects.center_N3, i, up), size_N3=size, crop_NCXYZ=crop_NCXYZ)
+    crop_CXYZ = changed["crop_NCXYZ"][i]
+    changed["crop_NCXYZ"][i] = sample(crop_CXYZ[None].float(), window, points)[0].T.reshape(crop_CXYZ.shape)
+    changed["outline_NRK3"][i] = scaled(objects.outline_NRK3[i], factor)
+    for name in ("size_N3", "mass_N3"):
+        changed[name][i] *= factor
+    changed["center_N3"][i] += up
+    objects = Objects(**changed)
     scale_M = poses.scale_M.clone()
     scale_M[i] *= factor
     poses = replace(poses, translation_M3=_added(poses.translation_M3, i, up), scale_M=scale_M)

@@ -161,6 +161,18 @@ def cylinder_points(cfg: Cylinder) -> Tensor:
     return torch.cat([side_KLB2, height_B[:, None].expand(*side_KLB2.shape[:3], 1)], -1)
 
 
+def scaled(outline_RK3: Tensor, factor: float) -> Tensor:
+    """The outlines of an object that is so many times as large, from the same foot upwards; what no longer fits into
+    the bands is left out."""
+    bands_BK3 = outline_RK3[BANDS:]
+    was_B = ((torch.arange(len(bands_BK3)) + 0.5) / factor).long()
+    is_known_B = was_B < len(bands_BK3)
+    bands_BK3 = bands_BK3[was_B.clamp(max=len(bands_BK3) - 1)] * is_known_B[:, None, None]
+    grown = torch.ones(bands_BK3.shape[-1])
+    grown[[RADIUS, SCALE]] = factor
+    return torch.cat([outline_RK3[:BANDS], bands_BK3]) * grown
+
+
 def base(centers_P3: Tensor, sizes_P3: Tensor) -> Tensor:
     """Heights P of the bottoms of boxes; never below the table."""
     return (centers_P3[..., 2] - sizes_P3[..., 2] / 2).clamp(min=0)

@@ -1,0 +1,94 @@
+"""The model contact: what it draws, how sure it is, and what its parts see."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from oes.dynamics.certainty import calibrated, lengths
+from oes.dynamics.contact import Contact
+from oes.dynamics.shapes import Doubt, shapes_of, unpacked
+from oes.dynamics.unroll import at_rest, future_from, single_steps, unroll
+from oes.measure import error_nll, error_quantile
+from tests.test_dynamics_models import NET, SEEN, make_actions, make_model, make_objects
+
+DOUBT = Doubt(draws=400, outline=1.0, waves=3, mass_m=0.002, log_mass=0.1, log_friction=0.2)
+
+
+def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_there() -> None:
+    objects = make_objects()
+    objects.outline_NRK3[0, 0, 3, :, 2] = 0.2
+    shapes = shapes_of(objects)
+    again = unpacked(shapes.packed(), SEEN.outline_rows, SEEN.outline_directions)
+    for name, value in vars(shapes).items():
+        assert torch.equal(getattr(again, name), value), name
+    assert (shapes.radius_BNRK[0, 0, 3] == 0).all() and (shapes.radius_BNRK[0, 1] > 0).all()
+
+
+def test_draws_begin_with_the_objects_as_they_seem_and_vary_as_much_as_is_said() -> None:
+    shapes = shapes_of(make_objects())
+    drawn = shapes.redrawn(DOUBT, torch.Generator().manual_seed(0))
+    first = {name: value[: len(shapes.heavy_BN)] for name, value in vars(drawn).items()}
+    for name, value in vars(shapes).items():
+        torch.testing.assert_close(first[name], value)
+    by_draw = drawn.radius_BNRK.unflatten(0, (DOUBT.draws, -1)) - shapes.radius_BNRK
+    assert float(by_draw.std(0).mean()) == pytest.approx(0.002 * 2**0.5, rel=0.1), "the Laplace law's own deviation"
+    assert float(drawn.heavy_BN.log().std()) == pytest.approx(0.1, rel=0.1)
+    assert float(drawn.rough_BN.log().std()) == pytest.approx(0.2, rel=0.1)
+    torch.testing.assert_close(by_draw[:, 0, 0], by_draw[:, 1, 2], msg="all objects are off alike")
+
+
+@torch.no_grad()
+def test_a_forecast_is_the_mean_of_its_futures_and_their_spread_its_doubt() -> None:
+    objects, (tip, actions) = make_objects(), make_actions()
+    objects = replace(objects, center_N3=objects.center_N3 * torch.tensor([1.0, 1.0, 0.0]) + tip[:, None] * 0.5)
+    model = make_model("contact", objects)
+    assert isinstance(model, Contact) and model.drawn == NET.contact.doubt.draws == 3
+    found = unroll(model, objects, tip, actions)
+    futures = [
+        future_from(model, part, at_rest(objects.center_N3, objects.valid_N), tip, actions).translation_BTN3
+        for part in model.redrawn(model.appearance(objects)).chunk(3)
+    ]
+    torch.testing.assert_close(found.translation_BTN3, torch.stack(futures).mean(0), atol=1e-5, rtol=1e-4)
+    assert found.spread_BTN is not None and found.scale_BTN is None and float(found.spread_BTN.max()) > 1e-4
+    model.certainty = calibrated(np.full((5, 50), 0.01), np.full((5, 50), 0.01))
+    assert unroll(model, objects, tip, actions).scale_BTN is not None
+    assert model.train().drawn == 1, "training sees the objects as they seem"
+
+
+@torch.no_grad()
+def test_single_steps_begin_where_objects_truly_were() -> None:
+    objects, (tip, actions) = make_objects(), make_actions()
+    model = make_model("contact", objects).train()
+    whole = unroll(model, objects, tip, actions)
+    steps = single_steps(model, objects, tip, actions, whole.translation_BTN3, whole.rotation_BTN33)
+    torch.testing.assert_close(steps.translation_BTN3[:, 0], whole.translation_BTN3[:, 0], atol=1e-5, rtol=1e-4)
+    far = torch.full_like(whole.translation_BTN3, 5.0)
+    apart = single_steps(model, objects, tip, actions, far, whole.rotation_BTN33)
+    assert (apart.translation_BTN3[:, 1:] - 5).abs().max() < 0.5, "motion goes on from the given place"
+
+
+def test_calibration_finds_the_law_that_errors_were_drawn_from() -> None:
+    rng = np.random.default_rng(0)
+    spread_TP = rng.gamma(2.0, 0.005, (3, 4000))
+    scale_TP = np.hypot(np.array([[0.001], [0.002], [0.004]]), 1.5 * spread_TP)
+    level_TP = rng.uniform(0, 1, scale_TP.shape)
+    error_TP = scale_TP * np.sqrt(4.0 * ((1 - level_TP) ** (-2 / 4.0) - 1))
+    found = calibrated(error_TP, spread_TP)
+    assert found.floor_T == pytest.approx((0.001, 0.002, 0.004), rel=0.15)
+    assert found.gain == pytest.approx(1.5, rel=0.05) and found.tail == pytest.approx(4.0, rel=0.15)
+    scale = found.scale(torch.from_numpy(spread_TP)[None]).numpy()[0]
+    for level in (0.5, 0.9):
+        assert (error_TP < error_quantile(level, scale, found.tail)).mean() == pytest.approx(level, abs=0.01)
+    same = np.broadcast_to(np.array(found.same_T)[:, None], scale.shape)
+    assert error_nll(error_TP, scale, found.tail).mean() < error_nll(error_TP, same, found.same_tail).mean()
+    more = found.scale(torch.zeros(1, 5, 1))
+    assert more[0, 3:, 0].tolist() == [pytest.approx(found.floor_T[-1])] * 2, "later steps count as the last"
+
+
+def test_lengths_are_of_valid_objects_only() -> None:
+    true = torch.zeros(2, 3, 2, 3)
+    found = true + torch.tensor([0.03, 0.04, 0.0])
+    error_TP, spread_TP = lengths(found, true, torch.ones(2, 3, 2), torch.tensor([[True, False], [True, True]]))
+    assert error_TP.shape == spread_TP.shape == (3, 3) and error_TP == pytest.approx(0.05)
