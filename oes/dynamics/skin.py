@@ -15,6 +15,7 @@ from oes.dynamics.shapes import BANDS, Doubt, Shapes
 from oes.geom.polar import directions, normals, radius_in
 
 OWN, PATH, PAIR = 9, 4, 6  # numbers a point knows: of itself, of the rod's path, of another object
+GAPS = 2  # and how far it is above and below that
 FAR_M = 0.1
 NOWHERE_M = 1e3
 
@@ -29,6 +30,11 @@ class Skin:
     band_m: float
     width: int
     layers: int
+
+    @property
+    def has_heights(self) -> bool:
+        """Whether its points lie at heights of their own, so that it matters how far they are above or below others."""
+        return min(self.rows) >= BANDS
 
 
 @params
@@ -66,7 +72,7 @@ class SkinSight(nn.Module):
         super().__init__()
         self.cfg, self.unit_m = cfg, unit_m
         self.own, self.path = PointNet(OWN, cfg), PointNet(OWN + PATH, cfg)
-        self.pair = PointNet(OWN + PAIR, cfg)
+        self.pair = PointNet(OWN + PAIR + GAPS * cfg.has_heights, cfg)
 
     def forward(self, shapes: Shapes, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Sight:
         """The tip goes from ``tip_world_B3`` by ``action_B3`` (metres; NaN: there is no robot)."""
@@ -121,7 +127,8 @@ class SkinSight(nn.Module):
 
     def _inside(self, shapes: Shapes, state: ObjectState, place_BNP3: Tensor, axes_B33: Tensor) -> Tensor:
         """BNNP6: of each receiver's points in each sender: from its reference point (3, the action's axes), how far
-        within its outline at that height, whether there is any there, and the height above its foot."""
+        within its outline at that height, whether there is any there, and the height above its foot; then ``_gaps``, if
+        points have heights."""
         num, band_m = place_BNP3.shape[1], self.cfg.band_m
         from_other_BNNP3 = place_BNP3[:, :, None] - (state.center_BN3 @ axes_B33)[:, None, :, None]
         first_BNNP3 = from_other_BNNP3 @ axes_B33.mT[:, None, None] @ state.turned_BN33[:, None]
@@ -136,5 +143,21 @@ class SkinSight(nn.Module):
         within_BNNP = reach_PQ.reshape(band_BNNP.shape) - first_BNNP3[..., :2].norm(dim=-1)
         there_BNNP = (is_level_BNNP & (reach_PQ.reshape(band_BNNP.shape) > 0)).float()
         lengths = [from_other_BNNP3, within_BNNP[..., None], height_BNNP[..., None]]
+        lengths += [self._gaps(bands_BNBK, first_BNNP3, height_BNNP)] if self.cfg.has_heights else []
         near = torch.cat(lengths, -1).clamp(-2 * FAR_M, 2 * FAR_M) / self.unit_m
         return torch.cat([near, there_BNNP[..., None]], -1)
+
+    def _gaps(self, bands_BNBK: Tensor, first_BNNP3: Tensor, height_BNNP: Tensor) -> Tensor:
+        """BNNP2: how far each point is above the top of the sender where that is below it, and below its bottom where
+        that is above it; far, where there is nothing of the sender on the point's vertical."""
+        (num, count), points = bands_BNBK.shape[1:3], height_BNNP.shape[-1]
+        outline_PK = bands_BNBK[:, None].expand(-1, num, -1, -1, -1).flatten(0, 2)
+        band_PQ = torch.arange(count).repeat_interleave(points).expand(len(outline_PK), -1)
+        place_PP2 = first_BNNP3[..., :2].flatten(0, 2)
+        reach_PQ = radius_in(outline_PK, band_PQ, place_PP2.repeat(1, count, 1))
+        is_over_PQ = reach_PQ > place_PP2.norm(dim=-1).repeat(1, count)
+        is_over_BNNBP = is_over_PQ.reshape(*height_BNNP.shape[:3], count, points)
+        floor_B1 = torch.arange(count)[:, None] * self.cfg.band_m
+        top_BNNP = torch.where(is_over_BNNBP, floor_B1 + self.cfg.band_m, -NOWHERE_M).amax(-2)
+        bottom_BNNP = torch.where(is_over_BNNBP, floor_B1, NOWHERE_M).amin(-2)
+        return torch.stack([height_BNNP - top_BNNP, bottom_BNNP - height_BNNP], -1)
