@@ -9,6 +9,7 @@ import torch
 from oes.dynamics.certainty import calibrated, lengths
 from oes.dynamics.contact import Contact
 from oes.dynamics.shapes import Doubt, shapes_of, unpacked
+from oes.dynamics.skin import SkinSight
 from oes.dynamics.unroll import at_rest, future_from, single_steps, unroll
 from oes.measure import error_nll, error_quantile
 from tests.test_dynamics_models import NET, SEEN, make_actions, make_model, make_objects
@@ -92,3 +93,26 @@ def test_lengths_are_of_valid_objects_only() -> None:
     found = true + torch.tensor([0.03, 0.04, 0.0])
     error_TP, spread_TP = lengths(found, true, torch.ones(2, 3, 2), torch.tensor([[True, False], [True, True]]))
     assert error_TP.shape == spread_TP.shape == (3, 3) and error_TP == pytest.approx(0.05)
+
+
+def test_points_know_how_far_they_are_above_and_below_another_object() -> None:
+    """Two discs 50 mm high (bands of 20 mm, the third half full), one 30 mm above the other and aside by 20 mm."""
+    objects = make_objects(scenes=1, num=2)
+    outline = torch.zeros(1, 2, SEEN.outline_rows, SEEN.outline_directions, 3)
+    outline[:, :, :5] = torch.tensor([0.03, 0.001, 1.0])
+    size = torch.tensor([0.06, 0.06, 0.05]).expand(1, 2, 3)
+    center = torch.tensor([[[0.0, 0.0, 0.025], [0.02, 0.0, 0.105]]])
+    objects = replace(objects, center_N3=center, size_N3=size, outline_NRK3=outline)
+    sight = SkinSight(replace(NET.contact.skin, rows=(2, 3, 4)), NET.graph.unit_m)
+    state, shapes = at_rest(center, objects.valid_N), shapes_of(objects)
+    first_BNP3, _, _, there_BNP = sight._points(shapes, torch.eye(3)[None], state.turned_BN33)
+    assert (there_BNP == 1).all()
+    place_BNP3 = first_BNP3 + center[:, :, None]
+    assert place_BNP3[0, :, :, 2].unique().tolist() == pytest.approx([0.01, 0.03, 0.05, 0.09, 0.11, 0.13])
+    numbers = sight._inside(shapes, state, place_BNP3, torch.eye(3)[None]) * NET.graph.unit_m
+    above_P, below_P = numbers[0, 1, 0, :, 5], numbers[0, 0, 1, :, 6]
+    near_P = place_BNP3[0, 1, :, 0].hypot(place_BNP3[0, 1, :, 1]) < 0.0299
+    assert above_P[near_P].unique().tolist() == pytest.approx([0.03, 0.05, 0.07]), "of each band's bottom"
+    assert above_P[~near_P].min() == pytest.approx(0.2), "nothing is below these"
+    assert float(below_P.min()) == pytest.approx(0.03), "the lower disc's top to the upper one's bottom"
+    assert numbers[0, 0, 0, :, 4].amin() == pytest.approx(0.01), "a point of the lowest band above its own foot"

@@ -16,7 +16,7 @@ THERE = 0.5
 SECTORS = 16
 LEAST_GYRATION_M = 0.01
 LAPLACE_SD = 2**0.5
-EXTRA = 5
+NUMBERS, DRAWN = 7, 5
 
 
 @params
@@ -35,7 +35,8 @@ class Doubt:
 @dataclass(frozen=True)
 class Shapes:
     """Surfaces of N objects of B scenes at t = 0: radii (0 where nothing is thought to be), their scales and presences
-    BNRK, the centre of mass from the reference point BN3, mass and friction as multiples of the usual BN."""
+    BNRK, the centre of mass from the reference point BN3, mass and friction as multiples of the usual BN, how far below
+    the reference point the lowest band begins BN, and how tall they are BN (metres)."""
 
     radius_BNRK: Tensor
     scale_BNRK: Tensor
@@ -43,12 +44,14 @@ class Shapes:
     mass_BN3: Tensor
     heavy_BN: Tensor
     rough_BN: Tensor
+    foot_BN: Tensor
+    tall_BN: Tensor
 
     def packed(self) -> Tensor:
         """BNC, for ``unpacked``."""
         rows = [self.radius_BNRK, self.scale_BNRK, self.presence_BNRK]
-        numbers = [self.mass_BN3, self.heavy_BN[..., None], self.rough_BN[..., None]]
-        return torch.cat([*(row.flatten(2) for row in rows), *numbers], -1)
+        numbers = [self.heavy_BN, self.rough_BN, self.foot_BN, self.tall_BN]
+        return torch.cat([*(row.flatten(2) for row in rows), self.mass_BN3, torch.stack(numbers, -1)], -1)
 
     def redrawn(self, cfg: Doubt, generator: torch.Generator) -> "Shapes":
         """The objects as they seem and, after them, as they might be instead: (DB)N of ``cfg.draws`` draws.
@@ -57,7 +60,7 @@ class Shapes:
         nothing. ``generator`` is the CPU's.
         """
         draws, batch, count = cfg.draws, len(self.heavy_BN), self.radius_BNRK.shape[-1]
-        wave_DK, numbers_D5 = _waves(draws, count, cfg.waves, generator), torch.randn(draws, EXTRA, generator=generator)
+        wave_DK, numbers_D5 = _waves(draws, count, cfg.waves, generator), torch.randn(draws, DRAWN, generator=generator)
         wave_DK[0], numbers_D5[0] = 0, 0
         wave_CK, numbers_C5 = wave_DK.repeat_interleave(batch, 0), numbers_D5.repeat_interleave(batch, 0)[:, None]
         all_C = Shapes(**{name: x.repeat(draws, *[1] * (x.ndim - 1)) for name, x in vars(self).items()})
@@ -95,15 +98,18 @@ class Shapes:
 def shapes_of(objects: Objects) -> Shapes:
     """The surfaces of batched objects as first seen."""
     radius, scale, presence = objects.outline_NRK3.unbind(-1)
-    usual_BN = torch.ones_like(objects.center_N3[..., 0])
-    return Shapes(radius * (presence > THERE), scale, presence, objects.mass_N3, usual_BN, usual_BN)
+    height_BN, tall_BN = objects.center_N3[..., 2], objects.size_N3[..., 2]
+    usual_BN = torch.ones_like(height_BN)
+    foot_BN = (tall_BN / 2).minimum(height_BN)  # as perception puts it: never below the table
+    seen = radius * (presence > THERE), scale, presence
+    return Shapes(*seen, objects.mass_N3, usual_BN, usual_BN, foot_BN, tall_BN)
 
 
 def unpacked(appearance_BNC: Tensor, rows: int, count: int) -> Shapes:
     """What ``Shapes.packed`` made, of ``rows`` outlines in ``count`` directions."""
-    parts, numbers_BN5 = appearance_BNC[..., :-EXTRA], appearance_BNC[..., -EXTRA:]
+    parts, numbers_BN7 = appearance_BNC[..., :-NUMBERS], appearance_BNC[..., -NUMBERS:]
     radius, scale, presence = parts.reshape(*parts.shape[:-1], 3, rows, count).unbind(2)
-    return Shapes(radius, scale, presence, numbers_BN5[..., :3], numbers_BN5[..., 3], numbers_BN5[..., 4])
+    return Shapes(radius, scale, presence, numbers_BN7[..., :3], *numbers_BN7[..., 3:].unbind(-1))
 
 
 def _waves(num: int, count: int, waves: int, generator: torch.Generator) -> Tensor:

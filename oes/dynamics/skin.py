@@ -111,7 +111,10 @@ class SkinSight(nn.Module):
         return points @ now_BN33, facing @ now_BN33, sure, there
 
     def _foot(self, shapes: Shapes) -> Tensor:
-        """The height BN of the lowest band's bottom from the reference point: half of what is there, below it."""
+        """The height BN of the lowest band's bottom from the reference point: that of the box where heights matter, or
+        else half of the bands that are there, below it."""
+        if self.cfg.has_heights:
+            return -shapes.foot_BN
         there_BNB = (shapes.radius_BNRK[:, :, BANDS:] > 0).any(-1).float()
         return -there_BNB.sum(-1) * self.cfg.band_m / 2
 
@@ -143,13 +146,17 @@ class SkinSight(nn.Module):
         within_BNNP = reach_PQ.reshape(band_BNNP.shape) - first_BNNP3[..., :2].norm(dim=-1)
         there_BNNP = (is_level_BNNP & (reach_PQ.reshape(band_BNNP.shape) > 0)).float()
         lengths = [from_other_BNNP3, within_BNNP[..., None], height_BNNP[..., None]]
-        lengths += [self._gaps(bands_BNBK, first_BNNP3, height_BNNP)] if self.cfg.has_heights else []
+        lengths += [self._gaps(shapes, first_BNNP3, height_BNNP)] if self.cfg.has_heights else []
         near = torch.cat(lengths, -1).clamp(-2 * FAR_M, 2 * FAR_M) / self.unit_m
         return torch.cat([near, there_BNNP[..., None]], -1)
 
-    def _gaps(self, bands_BNBK: Tensor, first_BNNP3: Tensor, height_BNNP: Tensor) -> Tensor:
-        """BNNP2: how far each point is above the top of the sender where that is below it, and below its bottom where
-        that is above it; far, where there is nothing of the sender on the point's vertical."""
+    def _gaps(self, shapes: Shapes, first_BNNP3: Tensor, height_BNNP: Tensor) -> Tensor:
+        """BNNP2: how far the bottom of each point's band is above the top of the sender, and its top below the bottom
+        of the sender, on the point's vertical (negative: past it); far, where there is nothing of the sender there.
+
+        Bands are as tall as ``band_m``, but for the highest of an object, which ends where its box does.
+        """
+        bands_BNBK, band_m = shapes.radius_BNRK[:, :, BANDS:], self.cfg.band_m
         (num, count), points = bands_BNBK.shape[1:3], height_BNNP.shape[-1]
         outline_PK = bands_BNBK[:, None].expand(-1, num, -1, -1, -1).flatten(0, 2)
         band_PQ = torch.arange(count).repeat_interleave(points).expand(len(outline_PK), -1)
@@ -157,7 +164,11 @@ class SkinSight(nn.Module):
         reach_PQ = radius_in(outline_PK, band_PQ, place_PP2.repeat(1, count, 1))
         is_over_PQ = reach_PQ > place_PP2.norm(dim=-1).repeat(1, count)
         is_over_BNNBP = is_over_PQ.reshape(*height_BNNP.shape[:3], count, points)
-        floor_B1 = torch.arange(count)[:, None] * self.cfg.band_m
-        top_BNNP = torch.where(is_over_BNNBP, floor_B1 + self.cfg.band_m, -NOWHERE_M).amax(-2)
+        floor_B1 = torch.arange(count)[:, None] * band_m
+        ceiling_BNBP = (floor_B1 + band_m).minimum(shapes.tall_BN[..., None, None])
+        top_BNNP = torch.where(is_over_BNNBP, ceiling_BNBP[:, None], -NOWHERE_M).amax(-2)
         bottom_BNNP = torch.where(is_over_BNNBP, floor_B1, NOWHERE_M).amin(-2)
-        return torch.stack([height_BNNP - top_BNNP, bottom_BNNP - height_BNNP], -1)
+        row_P = torch.tensor(self.cfg.rows).repeat_interleave(points // len(self.cfg.rows)) - BANDS
+        over_BNP = ((row_P + 1) * band_m).minimum(shapes.tall_BN[..., None]) - (row_P + 0.5) * band_m
+        own_top_BNNP = height_BNNP + over_BNP[:, :, None]
+        return torch.stack([height_BNNP - band_m / 2 - top_BNNP, bottom_BNNP - own_top_BNNP], -1)
