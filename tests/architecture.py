@@ -17,8 +17,8 @@ from oes.stage import imports, reached
 
 # From the bottom up: a module or package of oes may import only those before it.
 ORDER = (
-    "config", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "stage", "fit", "film",
-    "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics", "video", "control",
+    "config", "compiled", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "stage", "fit",
+    "film", "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics", "video", "control",
     "overlap", "rollout", "score", "imagine", "trial", "evaluate", "demo", "browse", "view",
 )  # fmt: skip
 

@@ -10,8 +10,8 @@ import torch
 
 from oes.config import load
 from oes.dynamics.bodies import Bodies, Physics, Pose
-from oes.dynamics.sliding import GRAVITY, slide
-from oes.dynamics.touch import pair_touch, rod_touch
+from oes.dynamics.sliding import GRAVITY, outlines_of, slide
+from oes.dynamics.touch import pair_touches, rod_touches
 from oes.dynamics.train import Tasks
 from oes.geom.polar import directions, gyration
 
@@ -107,19 +107,17 @@ def test_overlapping_objects_are_parted_and_far_ones_left_alone() -> None:
 
 
 def test_touches_tell_where_and_how_far() -> None:
-    cfg, (bodies, pose) = physics(), discs((0.1, 0.0), (0.1, 0.07))
-    rod = rod_touch(bodies, pose, torch.tensor([[0.05, 0.0]]), cfg)
-    assert float(rod.gap[0, 0]) == pytest.approx(0.05 - 0.03 - cfg.rod_radius_m - cfg.margin_m, abs=1e-5)
-    assert rod.normal_2[0, 0].tolist() == pytest.approx([-1, 0], abs=1e-5)
-    assert rod.lever_2[0, 0].tolist() == pytest.approx([-0.03, 0], abs=1e-5)
-    inside = rod_touch(bodies, pose, torch.tensor([[0.08, 0.0]]), cfg)
-    assert float(inside.gap[0, 0]) == pytest.approx(-0.01 - cfg.rod_radius_m - cfg.margin_m, abs=1e-4)
-    pair, other_BNN2 = pair_touch(bodies, pose)
-    assert float(pair.gap[0, 0, 1]) == pytest.approx(0.01, abs=1e-4)
-    assert pair.normal_2[0, 0, 1].tolist() == pytest.approx([0, 1], abs=1e-4)
-    assert pair.lever_2[0, 0, 1].tolist() == pytest.approx([0, 0.03], abs=1e-4)
-    assert other_BNN2[0, 0, 1].tolist() == pytest.approx([0, -0.04], abs=1e-4)
-    assert pair.gap[0, 0, 0] > 1, "nothing touches itself"
+    """Outward normal, where from either centre of mass, gap."""
+    bodies, pose = discs((0.1, 0.0), (0.1, 0.07), (0.3, 0.3))
+    outlines, rod_m = outlines_of(bodies), 0.01
+    pose_BN3 = torch.cat([pose.place_BN2, pose.turn_BN[..., None]], -1).double().numpy()
+    beside, inside = (rod_touches(outlines, pose_BN3, np.array([[x, 0.0]]), rod_m)[0] for x in (0.05, 0.08))
+    assert beside[0] == pytest.approx([-1, 0, -0.03, 0, 0, 0, 0.05 - 0.03 - rod_m], abs=1e-5)
+    assert inside[0, 6] == pytest.approx(-0.01 - rod_m, abs=1e-4) and beside[2, 6] == math.inf
+    pairs = pair_touches(outlines, pose_BN3)[0]
+    assert pairs[0, 1] == pytest.approx([0, 1, 0, 0.03, 0, -0.04, 0.01], abs=1e-4)
+    assert pairs[1, 0] == pytest.approx([0, -1, 0, -0.03, 0, 0.04, 0.01], abs=1e-4)
+    assert pairs[0, 0, 6] == pairs[0, 2, 6] == math.inf, "nothing touches itself, or what is far away"
 
 
 def test_a_world_turned_by_whole_directions_slides_as_the_world_did() -> None:

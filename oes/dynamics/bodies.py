@@ -61,8 +61,3 @@ def turned(vector_2: Tensor, angle: Tensor) -> Tensor:
     cos, sin = angle.cos(), angle.sin()
     x, y = vector_2.unbind(-1)
     return torch.stack([cos * x - sin * y, sin * x + cos * y], -1)
-
-
-def cross(lever_2: Tensor, vector_2: Tensor) -> Tensor:
-    """z of the cross product."""
-    return lever_2[..., 0] * vector_2[..., 1] - lever_2[..., 1] * vector_2[..., 0]

@@ -1,76 +1,132 @@
-"""Where rigid bodies in the plane touch a rod and each other. Everything is batched over scenes and objects."""
+"""Where bodies in the plane touch a rod and each other: compiled, over all bodies of all scenes.
 
-from dataclasses import dataclass
+A touch is six numbers and a gap, in the world's axes: the body's outward normal (x, y), the contact from its centre of
+mass (x, y), from the other's (x, y), and how far apart they are (metres; negative where they overlap; infinite for
+what is not near).
+"""
 
-import torch
-from torch import Tensor
+import math
+from typing import NamedTuple
 
-from oes.dynamics.bodies import Bodies, Physics, Pose, turned
-from oes.geom.polar import corners, normals, radius_at
+import numpy as np
+from numpy.typing import NDArray
 
-FAR_M = 10.0
+from oes.compiled import compiled
+from oes.episode import Floats
+
+NEAR_M = 0.03  # what is farther apart meets in no short time
 TINY_M = 1e-6
+LEAST_SLANT = 0.1
+
+Touch = tuple[float, float, float, float, float, float, float]
 
 
-@dataclass(frozen=True)
-class Touch:
-    """One contact for each of ... bodies: outward normal ...2 of the body, lever ...2 from its centre of mass, gap
-    ... (metres; negative where they overlap)."""
+class Outlines(NamedTuple):
+    """N bodies of B scenes in their own axes, for the rod and for others: radii BNK from the reference point, corners
+    BNK2 from the centre of mass; normals BNK2 of the latter; the reference point's place BN2 in the outlines' axes, how
+    far corners reach BN, and which there are BN (of which the rod may touch)."""
 
-    normal_2: Tensor
-    lever_2: Tensor
-    gap: Tensor
-
-
-def rod_touch(bodies: Bodies, pose: Pose, rod_B2: Tensor, cfg: Physics) -> Touch:
-    """Where the rod, a circle, is closest to each object's outline: BN."""
-    corner_BNK2 = corners(bodies.rod_BNK) - bodies.mass_BN2[..., None, :]
-    side_BNK2 = corner_BNK2.roll(-1, -2) - corner_BNK2
-    away_BN2 = turned(rod_B2[:, None] - pose.place_BN2, -pose.turn_BN)
-    along_BNK = ((away_BN2[..., None, :] - corner_BNK2) * side_BNK2).sum(-1)
-    along_BNK = (along_BNK / side_BNK2.square().sum(-1).clamp(min=TINY_M**2)).clamp(0, 1)
-    nearest_BNK2 = corner_BNK2 + along_BNK[..., None] * side_BNK2
-    distance_BN, k_BN = (away_BN2[..., None, :] - nearest_BNK2).norm(dim=-1).min(-1)
-    lever_BN2 = nearest_BNK2.gather(-2, k_BN[..., None, None].expand(*k_BN.shape, 1, 2))[..., 0, :]
-    from_axis_BN2 = away_BN2 + bodies.mass_BN2
-    inside_BN = from_axis_BN2.norm(dim=-1) < radius_at(
-        bodies.rod_BNK.flatten(0, 1), from_axis_BN2.flatten(0, 1)[:, None]
-    )[:, 0].reshape(k_BN.shape)
-    sign_BN = torch.where(inside_BN, -1.0, 1.0)
-    normal_BN2 = (away_BN2 - lever_BN2) * (sign_BN / distance_BN.clamp(min=TINY_M))[..., None]
-    gap_BN = sign_BN * distance_BN - cfg.rod_radius_m - cfg.margin_m
-    there_BN = bodies.valid_BN & (bodies.rod_BNK > 0).any(-1)
-    gap_BN = torch.where(there_BN, gap_BN, FAR_M)
-    return Touch(turned(normal_BN2, pose.turn_BN), turned(lever_BN2, pose.turn_BN), gap_BN)
+    rod_BNK: Floats
+    rod_corner_BNK2: Floats
+    whole_BNK: Floats
+    corner_BNK2: Floats
+    normal_BNK2: Floats
+    mass_BN2: Floats
+    reach_BN: Floats
+    is_there_BN: NDArray[np.bool_]
+    has_rod_BN: NDArray[np.bool_]
 
 
-def pair_touch(bodies: Bodies, pose: Pose) -> tuple[Touch, Tensor]:
-    """For ordered pairs BNN: the point of the first object deepest inside the second, with the second's normal there
-    (turned to point out of the first); and the lever BNN2 of that point on the second."""
-    corner_BNK2 = corners(bodies.whole_BNK) - bodies.mass_BN2[..., None, :]
-    lever_BNK2 = turned(corner_BNK2, pose.turn_BN[..., None])
-    apart_BNN2 = pose.place_BN2[:, :, None] - pose.place_BN2[:, None]
-    on_other_BNNK2 = lever_BNK2[:, :, None] + apart_BNN2[..., None, :]
-    own_BNNK2 = turned(on_other_BNNK2, -pose.turn_BN[:, None, :, None]) + bodies.mass_BN2[:, None, :, None]
-    num = pose.turn_BN.shape[1]
-    outline_PK = bodies.whole_BNK[:, None].expand(-1, num, -1, -1).flatten(0, 2)
-    reach_BNNK = radius_at(outline_PK, own_BNNK2.flatten(0, 2)).reshape(own_BNNK2.shape[:-1])
-    depth_BNN, k_BNN = (reach_BNNK - own_BNNK2.norm(dim=-1)).max(-1)
-    pick = k_BNN[..., None, None].expand(*k_BNN.shape, 1, 2)
-    spot_BNN2 = own_BNNK2.gather(-2, pick)[..., 0, :]
-    facing_BNN2 = _normal_at(bodies.whole_BNK, spot_BNN2)
-    slant_BNN = (facing_BNN2 * spot_BNN2).sum(-1) / spot_BNN2.norm(dim=-1).clamp(min=TINY_M)
-    is_pair_BNN = bodies.valid_BN[:, None] & bodies.valid_BN[:, :, None] & ~torch.eye(num, dtype=torch.bool)
-    gap_BNN = torch.where(is_pair_BNN, -depth_BNN * slant_BNN.clamp(min=0.1), FAR_M)
-    lever_BNN2 = lever_BNK2[:, :, None].expand_as(on_other_BNNK2).gather(-2, pick)[..., 0, :]
-    on_other_BNN2 = on_other_BNNK2.gather(-2, pick)[..., 0, :]
-    return Touch(-turned(facing_BNN2, pose.turn_BN[:, None]), lever_BNN2, gap_BNN), on_other_BNN2
+@compiled
+def rod_touches(bodies: Outlines, pose_BN3: Floats, rod_B2: Floats, radius_m: float) -> Floats:
+    """Touches BN7 of every body (its pose: x and y of the centre of mass, turn) with a round rod at ``rod_B2``."""
+    touch_BN7 = np.empty((*pose_BN3.shape[:2], 7))
+    for b in range(len(pose_BN3)):
+        for n in range(pose_BN3.shape[1]):
+            touch_BN7[b, n] = _rod_touch(bodies, b, n, pose_BN3[b], rod_B2[b, 0], rod_B2[b, 1], radius_m)
+    return touch_BN7
 
 
-def _normal_at(radius_BNK: Tensor, spot_BNN2: Tensor) -> Tensor:
-    """Outward normals BNN2 of the second of each pair's outline, in its axes, towards a spot."""
-    count = radius_BNK.shape[-1]
-    place_BNN = torch.atan2(spot_BNN2[..., 1], spot_BNN2[..., 0]) * (count / (2 * torch.pi))
-    k_BNN = place_BNN.round().long() % count
-    normal_BNK2 = normals(radius_BNK)[:, None].expand(-1, k_BNN.shape[1], -1, -1, -1)
-    return normal_BNK2.gather(-2, k_BNN[..., None, None].expand(*k_BNN.shape, 1, 2))[..., 0, :]
+@compiled
+def pair_touches(bodies: Outlines, pose_BN3: Floats) -> Floats:
+    """Touches BNN7 of every body (first) with every other."""
+    num = pose_BN3.shape[1]
+    touch_BNN7 = np.empty((len(pose_BN3), num, num, 7))
+    for b in range(len(pose_BN3)):
+        for i in range(num):
+            for j in range(num):
+                touch_BNN7[b, i, j] = _pair_touch(bodies, b, i, j, pose_BN3[b])
+    return touch_BNN7
+
+
+@compiled
+def _rod_touch(bodies: Outlines, b: int, n: int, pose_N3: Floats, rod_x: float, rod_y: float, radius_m: float) -> Touch:
+    """Body ``n`` (its pose: x and y of the centre of mass, turn) and a round rod."""
+    cos, sin = math.cos(pose_N3[n, 2]), math.sin(pose_N3[n, 2])
+    dx, dy = rod_x - pose_N3[n, 0], rod_y - pose_N3[n, 1]
+    if not bodies.has_rod_BN[b, n] or math.hypot(dx, dy) > bodies.reach_BN[b, n] + radius_m + NEAR_M:
+        return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf
+    x, y = cos * dx + sin * dy, cos * dy - sin * dx
+    corner_K2 = bodies.rod_corner_BNK2[b, n]
+    least, near_x, near_y = np.inf, 0.0, 0.0
+    for k in range(len(corner_K2)):
+        at_x, at_y = corner_K2[k, 0], corner_K2[k, 1]
+        after = 0 if k + 1 == len(corner_K2) else k + 1
+        side_x, side_y = corner_K2[after, 0] - at_x, corner_K2[after, 1] - at_y
+        along = ((x - at_x) * side_x + (y - at_y) * side_y) / max(side_x * side_x + side_y * side_y, TINY_M * TINY_M)
+        along = min(max(along, 0.0), 1.0)
+        spot_x, spot_y = at_x + along * side_x, at_y + along * side_y
+        square = (x - spot_x) ** 2 + (y - spot_y) ** 2
+        if square < least:
+            least, near_x, near_y = square, spot_x, spot_y
+    from_x, from_y = x + bodies.mass_BN2[b, n, 0], y + bodies.mass_BN2[b, n, 1]
+    sign = -1.0 if math.hypot(from_x, from_y) < _radius_at(bodies.rod_BNK[b, n], from_x, from_y) else 1.0
+    distance = math.sqrt(least)
+    scale = sign / max(distance, TINY_M)
+    out_x, out_y = (x - near_x) * scale, (y - near_y) * scale
+    lever_x, lever_y = cos * near_x - sin * near_y, sin * near_x + cos * near_y
+    return cos * out_x - sin * out_y, sin * out_x + cos * out_y, lever_x, lever_y, 0.0, 0.0, sign * distance - radius_m
+
+
+@compiled
+def _pair_touch(bodies: Outlines, b: int, i: int, j: int, pose_N3: Floats) -> Touch:
+    """Body ``i`` at that corner of it which is deepest in (or nearest to) body ``j``, with j's normal there, turned to
+    point out of i."""
+    apart_x, apart_y = pose_N3[i, 0] - pose_N3[j, 0], pose_N3[i, 1] - pose_N3[j, 1]
+    is_pair = i != j and bodies.is_there_BN[b, i] and bodies.is_there_BN[b, j]
+    if not is_pair or math.hypot(apart_x, apart_y) > bodies.reach_BN[b, i] + bodies.reach_BN[b, j] + NEAR_M:
+        return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf
+    cos_i, sin_i = math.cos(pose_N3[i, 2]), math.sin(pose_N3[i, 2])
+    cos_j, sin_j = math.cos(pose_N3[j, 2]), math.sin(pose_N3[j, 2])
+    corner_K2, radius_K = bodies.corner_BNK2[b, i], bodies.whole_BNK[b, j]
+    deepest, at_x, at_y, lever_x, lever_y = -np.inf, 1.0, 0.0, 0.0, 0.0
+    for k in range(len(corner_K2)):
+        x = cos_i * corner_K2[k, 0] - sin_i * corner_K2[k, 1]
+        y = sin_i * corner_K2[k, 0] + cos_i * corner_K2[k, 1]
+        on_x, on_y = x + apart_x, y + apart_y
+        if on_x * on_x + on_y * on_y > (bodies.reach_BN[b, j] + NEAR_M) ** 2:
+            continue
+        own_x = cos_j * on_x + sin_j * on_y + bodies.mass_BN2[b, j, 0]
+        own_y = cos_j * on_y - sin_j * on_x + bodies.mass_BN2[b, j, 1]
+        depth = _radius_at(radius_K, own_x, own_y) - math.hypot(own_x, own_y)
+        if depth > deepest:
+            deepest, at_x, at_y, lever_x, lever_y = depth, own_x, own_y, x, y
+    if deepest == -np.inf:
+        return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf
+    count = len(radius_K)
+    normal_2 = bodies.normal_BNK2[b, j, int(np.rint(math.atan2(at_y, at_x) * (count / (2 * math.pi)))) % count]
+    slant = (normal_2[0] * at_x + normal_2[1] * at_y) / max(math.hypot(at_x, at_y), TINY_M)
+    out_x, out_y = -(cos_j * normal_2[0] - sin_j * normal_2[1]), -(sin_j * normal_2[0] + cos_j * normal_2[1])
+    gap = -deepest * max(slant, LEAST_SLANT)
+    return out_x, out_y, lever_x, lever_y, lever_x + apart_x, lever_y + apart_y, gap
+
+
+@compiled
+def _radius_at(radius_K: Floats, x: float, y: float) -> float:
+    """As ``oes.geom.polar.radius_at``, of one outline towards one point."""
+    count = len(radius_K)
+    place = math.atan2(y, x) * (count / (2 * math.pi))
+    below = math.floor(place)
+    first = int(below) % count
+    found: float = radius_K[first] + (place - below) * (radius_K[(first + 1) % count] - radius_K[first])
+    return found

@@ -5,8 +5,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from oes.compiled import compiled
 from oes.episode import Floats
-from oes.render.compiled import compiled
 from oes.render.raster import Ints
 
 SMOOTH_COSINE = float(np.cos(np.radians(40)))  # faces that meet at a smaller angle are shaded as one surface

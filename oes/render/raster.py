@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from oes.compiled import compiled
 from oes.episode import Floats
-from oes.render.compiled import compiled
 
 Ints = NDArray[np.int32]
 Indices = NDArray[np.uint32]

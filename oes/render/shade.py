@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from oes.compiled import compiled
 from oes.episode import Floats
-from oes.render.compiled import compiled
 from oes.render.raster import Ints
 
 PLAIN, CHECKER, STRIPES, NOISE, GRADIENT, WOOD = 0, 1, 2, 3, 4, 5
