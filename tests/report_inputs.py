@@ -108,7 +108,7 @@ def write_errors(folder: Path, task: str) -> None:
                 rows.append(dict(zip(ERRORS, values, strict=True)))
         (folder / f"{task}-{model}").mkdir(parents=True)
         write_csv(folder / f"{task}-{model}" / "errors.csv", rows, list(ERRORS))
-        for variant in ("contact_short", "contact_300") if (task, model) == ("pushing", "contact") else ():
+        for variant in ("contact_true", "contact_300") if (task, model) == ("pushing", "contact") else ():
             (folder / f"{task}-{variant}").mkdir()
             varied = [row | {"model": variant} for row in rows if row["setting"] == "1view_pred"]
             write_csv(folder / f"{task}-{variant}" / "errors.csv", varied, list(ERRORS))

@@ -50,8 +50,7 @@ CFG = Dynamics(
     fit=FIT,
     fits={},
     variants={
-        word: Variant(2, 0, word != "contact_step", word != "contact_still", word == "contact_true")
-        for word in VARIANTS
+        word: Variant(0, word != "contact_step", word != "contact_still", word == "contact_true") for word in VARIANTS
     },
 )
 SETTINGS = ("train1", "train2", "fixed")

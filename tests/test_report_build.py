@@ -244,6 +244,6 @@ def test_surfaces_certainty_and_ablations_are_told(reports: Path) -> None:
     assert "| 0.00 | 0.0% |  | 28 | 0 |" in row
     assert tree["ablations"]["contact_300"]["translation_mm"]["5"]["ratio"] == 1.0
     ablations = (reports / "ablations.md").read_text().splitlines()
-    asked = ("3D-OES", "Contact", "Contact, fewer steps", "300 episodes")
+    asked = ("3D-OES", "Contact", "+ true surfaces", "300 episodes")
     assert [name for name in asked if any(line.startswith(f"| {name} |") for line in ablations)] == list(asked)
     assert "contact_300" not in (reports / "table1.csv").read_text()

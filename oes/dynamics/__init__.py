@@ -16,7 +16,5 @@ MODELS: dict[str, type[nn.Module]] = {
     "graph_xyz_image_fixed": GraphXYZImageFixed,
 }
 
-VARIANTS = dict.fromkeys(
-    ("contact_short", "contact_true", "contact_still", "contact_step", "contact_100", "contact_300"), "contact"
-)
+VARIANTS = dict.fromkeys(("contact_true", "contact_still", "contact_step", "contact_100", "contact_300"), "contact")
 """Models of ``MODELS`` trained otherwise, for the ablations, by word."""

@@ -49,7 +49,7 @@ def learn(
         cfg, episodes = varied(word, cfg, episodes)
     kind = MODELS[VARIANTS.get(word, word)]
     if issubclass(kind, Learned):
-        settings = cfg.fit_of(word)
+        settings = cfg.fit_of(VARIANTS.get(word, word))
         if cfg.net.contact.true_surfaces:
             scenes = scenes.with_true_surfaces()
         seen, data = gather(kind, cfg, scenes, episodes)
@@ -66,12 +66,11 @@ def varied(word: str, cfg: Dynamics, episodes: Mapping[int, Episode]) -> tuple[D
     """Settings and episodes of a variant. Raises ValueError where ``cfg.variants`` lacks it."""
     if word not in cfg.variants:
         raise ValueError(f"dynamics.variants has no {word!r}; it has: {', '.join(cfg.variants)}")
-    variant, like = cfg.variants[word], cfg.fit_of(VARIANTS[word])
+    variant = cfg.variants[word]
     return replace(
         cfg,
         net=replace(cfg.net, contact=replace(cfg.net.contact, true_surfaces=variant.true_surfaces)),
         augment=cfg.augment if variant.augment else Augment(turn=False, mirror=False, shift_m=0.0),
-        fits=cfg.fits | {word: replace(like, steps=variant.steps, checkpoint_every_steps=variant.steps)},
         unroll=variant.unroll,
     ), dict(list(episodes.items())[: variant.episodes or None])
 

@@ -21,11 +21,9 @@ from oes.fit import fit
 
 @params
 class Variant:
-    """The model ``contact`` trained otherwise, for the ablations: steps of training (validated at the end), episodes to
-    learn from (0: all), through the unroll or by single steps from true states, whether scenes are augmented, and
-    surfaces the true ones."""
+    """The model ``contact`` trained otherwise, for the ablations: episodes to learn from (0: all), through the unroll
+    or by single steps from true states, whether scenes are augmented, and surfaces the true ones."""
 
-    steps: int
     episodes: int
     unroll: bool
     augment: bool

@@ -17,7 +17,6 @@ MODELS = {
 OURS, BASELINE, SURFACES = "oes", "graph_xyz", "contact"
 
 VARIANTS = {
-    "contact_short": "Contact, fewer steps",
     "contact_true": "+ true surfaces",
     "contact_still": "- augmentation",
     "contact_step": "- unroll (single steps)",
