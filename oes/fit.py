@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from oes.checkpoint import Fit, FitError, Row, Training, restore, save
+from oes.precision import half_precision
 
 __all__ = ["Fit", "FitError", "fit", "learning_rate"]
 
@@ -104,7 +105,7 @@ def _step(
     torch.manual_seed(cfg.seed * 1_000_003 + training.step)
     for group in training.optimizer.param_groups:
         group["lr"] = learning_rate(training.step, cfg)
-    with torch.autocast(weights_L.device.type, dtype=torch.bfloat16, enabled=cfg.bfloat16):
+    with half_precision(weights_L.device, cfg.bfloat16):
         terms = loss(training.model, batch)
     assert set(terms) == set(names), f"loss terms {sorted(terms)} are not the weights' {sorted(names)}"
     terms_L = torch.stack([terms[name].float() for name in names])

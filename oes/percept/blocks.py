@@ -6,7 +6,6 @@ CPU in bfloat16, three times faster than GroupNorm.
 
 from itertools import pairwise
 
-import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
@@ -77,8 +76,3 @@ class UNet(nn.Module):
 
 def _level(channels: int, count: int) -> nn.Sequential:
     return nn.Sequential(*(Residual(channels) for _ in range(count)))
-
-
-def half_precision(device: torch.device) -> torch.autocast:
-    """Autocast to bfloat16: six to eight times faster on CPUs with AMX, and on GPUs with tensor cores."""
-    return torch.autocast(device.type, dtype=torch.bfloat16)

@@ -8,11 +8,11 @@ from torch import Tensor
 
 from oes.geom.boxes import iou
 from oes.geom.voxels import voxelize
-from oes.percept.blocks import half_precision
 from oes.percept.detector import box_deltas, detection_losses
 from oes.percept.lift import Views
 from oes.percept.network import PerceptionNet, Scene
 from oes.percept.roi import RoiOutput
+from oes.precision import half_precision
 
 LOSS_TERMS = ("objectness", "box", "occupancy", "roi_box", "roi_score", "mask", "view")
 MATCH_M = 0.04

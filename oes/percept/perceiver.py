@@ -14,10 +14,10 @@ from oes.episode import Camera, Frames
 from oes.geom.camera import project
 from oes.geom.voxels import centers, crop
 from oes.objects import Objects
-from oes.percept.blocks import half_precision
 from oes.percept.lift import SIGNED, UNSEEN, Views, lift, views_of
 from oes.percept.network import Network, PerceptionNet, Scene
 from oes.percept.rays import Field
+from oes.precision import half_precision
 from oes.weights import read_tensors, write_tensors
 
 FORMAT = "oes-perception-3"
