@@ -9,8 +9,9 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(function: Function) -> Function:
-    """``function`` as machine code with the same signature and strict IEEE arithmetic: equal input, equal bytes.
+    """``function`` as machine code with the same signature and strict IEEE arithmetic: equal input, equal bytes. It
+    lets other threads run meanwhile.
 
     The cache is keyed by the function's own file: compiled functions call only compiled functions of the same file.
     """
-    return cast(Function, njit(cache=True, error_model="numpy")(function))
+    return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))

@@ -1,4 +1,4 @@
-"""Objects on a table seen from above, as rigid bodies in the plane: what they are and where."""
+"""Objects on a table as rigid bodies: what they are and where."""
 
 from dataclasses import dataclass
 
@@ -10,37 +10,41 @@ from oes.config import params
 
 @params
 class Physics:
-    """What is taken to be true of every object: a step's time and its parts, coefficients of friction (against table,
-    rod and each other), how far outside its outline a contact begins, how far ahead of its middle a sliding object
-    leans on the table, where it stands (as a share of its foot's outline), its radius of gyration (as a multiple of a
-    prism's of its outline), the rod's radius, and rounds of contacts."""
+    """What is taken to be true of every object: a step's time, its parts and the rounds of contacts in each;
+    coefficients of friction (against table, rod and each other), and the lever of that about a contact's normal; how
+    far outside two outlines a contact begins; the rod's radius, and how high its tip is above the table."""
 
     step_s: float
     parts: int
+    rounds: int
     table_friction: float
     rod_friction: float
     object_friction: float
+    spinning_m: float
     margin_m: float
-    lean_m: float
-    stance: float
-    gyration: float
     rod_radius_m: float
-    rounds: int
+    tip_m: float
 
 
 @dataclass(frozen=True)
 class Bodies:
-    """N objects of B scenes in their own axes (the world's at t = 0), from their reference points: what the rod may
-    touch and what others may (radii BNK; 0 where there is nothing), points of support BNM2 (from the centre of mass)
-    and how much each is thought to bear BNM, the centre of mass BN2, the
-    radius of gyration BN, the mass and the friction as multiples of the usual BN, and which exist BN."""
+    """N objects of B scenes in their own axes (the world's at t = 0).
+
+    From their reference points: what the rod may touch and what others may (radii BNK; 0 where there is nothing), and
+    the centre of mass BN2. From the centre of mass: feet BNM2, its height over them BN, and between which heights BNK
+    the outline that the rod meets is reached. The inverse inertia for a mass of 1 BN33; how tall they are BN; mass and
+    friction as multiples of the usual BN, and which exist BN.
+    """
 
     rod_BNK: Tensor
     whole_BNK: Tensor
-    support_BNM2: Tensor
-    share_BNM: Tensor
     mass_BN2: Tensor
-    gyration_BN: Tensor
+    feet_BNM2: Tensor
+    height_BN: Tensor
+    rod_low_BNK: Tensor
+    rod_high_BNK: Tensor
+    inverse_BN33: Tensor
+    tall_BN: Tensor
     heavy_BN: Tensor
     rough_BN: Tensor
     valid_BN: Tensor

@@ -77,7 +77,7 @@ class Contact(Learned):
         physics = self.net.contact.physics
         if physics is None:
             return Motion(still_BN3, still_BN3, still_BN3)
-        bodies = shapes.bodies(state.valid_BN, physics)
+        bodies = shapes.bodies(state.valid_BN, self.net.contact.skin.band_m)
         turn_BN = heading(state.turned_BN33)
         place_BN2 = state.center_BN3[..., :2] + turned(bodies.mass_BN2, turn_BN)
         tip_B2 = tip_world_B3[:, :2].nan_to_num(nan=NOWHERE_M)

@@ -7,14 +7,16 @@ import torch
 from torch import Tensor
 
 from oes.config import params
-from oes.dynamics.bodies import Bodies, Physics
-from oes.geom.polar import directions, gyration
+from oes.dynamics.bodies import Bodies
+from oes.geom.polar import directions
 from oes.objects import Objects
 
 WHOLE, ABOVE, BANDS = 0, 1, 2  # rows of an outline, as perception orders them (``oes.percept.surface``)
 THERE = 0.5
 SECTORS = 16
 LEAST_GYRATION_M = 0.01
+LEAST_HEIGHT_M = 0.003
+OUTEST_M = 0.002  # how far within the outline of all bands one may be to count as reaching it
 LAPLACE_SD = 2**0.5
 NUMBERS, DRAWN = 7, 5
 
@@ -74,25 +76,58 @@ class Shapes:
             rough_BN=all_C.rough_BN * (numbers_C5[..., 4] * cfg.log_friction).exp(),
         )
 
-    def bodies(self, valid_BN: Tensor, cfg: Physics) -> Bodies:
-        """What slides."""
-        mass_BN2 = self.mass_BN3[..., :2]
-        foot_BNSK = self.radius_BNRK[:, :, BANDS].reshape(*self.heavy_BN.shape, SECTORS, -1)
-        far_BNS, k_BNS = foot_BNSK.max(-1)
-        side_K2 = directions(self.radius_BNRK.shape[-1])
-        side_BNS2 = side_K2[k_BNS + torch.arange(SECTORS) * foot_BNSK.shape[-1]]
-        there_BNS = (far_BNS > 0).float()
+    def bodies(self, valid_BN: Tensor, band_m: float) -> Bodies:
+        """What slides; bands of the outlines are ``band_m`` high."""
+        height_BN = (self.mass_BN3[..., 2] + self.foot_BN).clamp(min=LEAST_HEIGHT_M)
+        low_BNK, high_BNK = self._beside(band_m)
         return Bodies(
             rod_BNK=self.radius_BNRK[:, :, ABOVE],
             whole_BNK=self.radius_BNRK[:, :, WHOLE],
-            support_BNM2=side_BNS2 * (far_BNS * cfg.stance)[..., None] - mass_BN2[..., None, :],
-            share_BNM=there_BNS / there_BNS.sum(-1, keepdim=True).clamp(min=1),
-            mass_BN2=mass_BN2,
-            gyration_BN=gyration(self.radius_BNRK[:, :, WHOLE]).clamp(min=LEAST_GYRATION_M) * cfg.gyration,
+            mass_BN2=self.mass_BN3[..., :2],
+            feet_BNM2=self._feet(),
+            height_BN=height_BN,
+            rod_low_BNK=low_BNK - height_BN[..., None],
+            rod_high_BNK=high_BNK - height_BN[..., None],
+            inverse_BN33=self._inverse(),
+            tall_BN=self.tall_BN,
             heavy_BN=self.heavy_BN,
             rough_BN=self.rough_BN,
             valid_BN=valid_BN,
         )
+
+    def _feet(self) -> Tensor:
+        """The farthest point of the lowest band in each of some sectors, BNM2, from the centre of mass."""
+        lowest_BNSK = self.radius_BNRK[:, :, BANDS].reshape(*self.heavy_BN.shape, SECTORS, -1)
+        far_BNS, k_BNS = lowest_BNSK.max(-1)
+        first_S = torch.arange(SECTORS) * lowest_BNSK.shape[-1]
+        side_BNS2 = directions(self.radius_BNRK.shape[-1])[k_BNS + first_S]
+        feet_BNS2: Tensor = side_BNS2 * far_BNS[..., None] - self.mass_BN3[..., None, :2]
+        return feet_BNS2
+
+    def _beside(self, band_m: float) -> tuple[Tensor, Tensor]:
+        """Between which heights BNK above the foot the outline that the rod meets is reached."""
+        bands_BNBK, above_BNK = self.radius_BNRK[:, :, BANDS:], self.radius_BNRK[:, :, ABOVE]
+        floor_B1 = torch.arange(bands_BNBK.shape[2])[:, None] * band_m
+        is_out = bands_BNBK > above_BNK[:, :, None] - OUTEST_M
+        low_BNK = torch.where(is_out, floor_B1, 1.0).amin(2)
+        high_BNK = torch.where(is_out, floor_B1 + band_m, 0.0).amax(2)
+        tall_BN1 = self.tall_BN[..., None]
+        return low_BNK.minimum(tall_BN1), high_BNK.minimum(tall_BN1)
+
+    def _inverse(self) -> Tensor:
+        """Inverse inertia BN33 for a mass of 1, of prisms of the outlines about their middles."""
+        radius_BNK = self.radius_BNRK[:, :, WHOLE].clamp(min=LEAST_GYRATION_M)
+        side_K2 = directions(radius_BNK.shape[-1])
+        area_BN = radius_BNK.square().mean(-1) / 2
+        first_BN2 = (radius_BNK**3 / 3)[..., None].mul(side_K2).mean(2) / area_BN[..., None]
+        outer_K22 = side_K2[:, :, None] * side_K2[:, None]
+        second_BN22 = (radius_BNK**4 / 4)[..., None, None].mul(outer_K22).mean(2) / area_BN[..., None, None]
+        moment_BN33 = torch.zeros(*area_BN.shape, 3, 3)
+        moment_BN33[..., :2, :2] = second_BN22 - first_BN2[..., None] * first_BN2[..., None, :]
+        moment_BN33[..., 2, 2] = self.tall_BN.clamp(min=LEAST_GYRATION_M) ** 2 / 12
+        total_BN11 = moment_BN33.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+        inverse_BN33: Tensor = torch.linalg.inv(total_BN11 * torch.eye(3) - moment_BN33)
+        return inverse_BN33
 
 
 def shapes_of(objects: Objects) -> Shapes:

@@ -1,8 +1,9 @@
-"""Where bodies in the plane touch a rod and each other: compiled, over all bodies of all scenes.
+"""Where bodies touch the table, a rod and each other: compiled, over all bodies of all scenes.
 
-A touch is six numbers and a gap, in the world's axes: the body's outward normal (x, y), the contact from its centre of
-mass (x, y), from the other's (x, y), and how far apart they are (metres; negative where they overlap; infinite for
-what is not near).
+A touch of table or rod is seven numbers: where on the body, in its own axes from its centre of mass (3), the normal
+towards the body (3, the world's axes), and how far apart they are (metres; negative where they overlap; infinite for
+what is not near). One of two bodies, in the world's axes, is nine: the normal towards the first (x, y), the place from
+the first's centre of mass (3) and from the second's (3), and how far apart they are.
 """
 
 import math
@@ -16,6 +17,7 @@ from oes.episode import Floats
 
 NEAR_M = 0.03  # what is farther apart meets in no short time
 TINY_M = 1e-6
+LEAN = 1e-5  # a slope that decides between feet that are equally low
 LEAST_SLANT = 0.1
 
 Touch = tuple[float, float, float, float, float, float, float]
@@ -23,8 +25,9 @@ Touch = tuple[float, float, float, float, float, float, float]
 
 class Outlines(NamedTuple):
     """N bodies of B scenes in their own axes, for the rod and for others: radii BNK from the reference point, corners
-    BNK2 from the centre of mass; normals BNK2 of the latter; the reference point's place BN2 in the outlines' axes, how
-    far corners reach BN, and which there are BN (of which the rod may touch)."""
+    BNK2 from the centre of mass; normals BNK2 of the latter; the centre of mass BN2 from the reference point, how far
+    corners reach BN; feet BNM3 and the heights between which the rod's outline is reached BNK, from the centre of mass;
+    how tall they are BN; and which there are BN (of which the rod may touch)."""
 
     rod_BNK: Floats
     rod_corner_BNK2: Floats
@@ -33,42 +36,105 @@ class Outlines(NamedTuple):
     normal_BNK2: Floats
     mass_BN2: Floats
     reach_BN: Floats
+    foot_BNM3: Floats
+    rod_low_BNK: Floats
+    rod_high_BNK: Floats
+    tall_BN: Floats
     is_there_BN: NDArray[np.bool_]
     has_rod_BN: NDArray[np.bool_]
 
 
 @compiled
-def rod_touches(bodies: Outlines, pose_BN3: Floats, rod_B2: Floats, radius_m: float) -> Floats:
-    """Touches BN7 of every body (its pose: x and y of the centre of mass, turn) with a round rod at ``rod_B2``."""
-    touch_BN7 = np.empty((*pose_BN3.shape[:2], 7))
-    for b in range(len(pose_BN3)):
-        for n in range(pose_BN3.shape[1]):
-            touch_BN7[b, n] = _rod_touch(bodies, b, n, pose_BN3[b], rod_B2[b, 0], rod_B2[b, 1], radius_m)
+def foot_touches(bodies: Outlines, place_BN3: Floats, turn_BN33: Floats, side_B2: Floats) -> Floats:
+    """Touches BN7 of every body with the table: its lowest foot; of equally low ones that farthest to a side."""
+    touch_BN7 = np.zeros((*place_BN3.shape[:2], 7))
+    for b in range(len(place_BN3)):
+        lean_x, lean_y = LEAN * side_B2[b, 0], LEAN * side_B2[b, 1]
+        for n in range(place_BN3.shape[1]):
+            lowest, turn_33 = np.inf, turn_BN33[b, n]
+            lean_3 = lean_x * turn_33[0] + lean_y * turn_33[1]
+            for foot_3 in bodies.foot_BNM3[b, n]:
+                height = turn_33[2, 0] * foot_3[0] + turn_33[2, 1] * foot_3[1] + turn_33[2, 2] * foot_3[2]
+                leant = height - lean_3[0] * foot_3[0] - lean_3[1] * foot_3[1] - lean_3[2] * foot_3[2]
+                if leant < lowest:
+                    lowest = leant
+                    touch_BN7[b, n, :3], touch_BN7[b, n, 6] = foot_3, place_BN3[b, n, 2] + height
+            touch_BN7[b, n, 5] = 1.0
+            if not bodies.is_there_BN[b, n]:
+                touch_BN7[b, n, 6] = np.inf
     return touch_BN7
 
 
 @compiled
-def pair_touches(bodies: Outlines, pose_BN3: Floats) -> Floats:
-    """Touches BNN7 of every body (first) with every other."""
-    num = pose_BN3.shape[1]
-    touch_BNN7 = np.empty((len(pose_BN3), num, num, 7))
-    for b in range(len(pose_BN3)):
-        for i in range(num):
-            for j in range(num):
-                touch_BNN7[b, i, j] = _pair_touch(bodies, b, i, j, pose_BN3[b])
-    return touch_BNN7
+def rod_touches(
+    bodies: Outlines, place_BN3: Floats, turn_BN33: Floats, rod_B2: Floats, radius_m: float, tip_m: float
+) -> Floats:
+    """Touches BN7 of every body with a round rod at ``rod_B2`` whose tip is ``tip_m`` above the table."""
+    touch_BN7 = np.zeros((*place_BN3.shape[:2], 7))
+    for b in range(len(place_BN3)):
+        for n in range(place_BN3.shape[1]):
+            touch_BN7[b, n, 6] = np.inf
+            dx, dy = rod_B2[b, 0] - place_BN3[b, n, 0], rod_B2[b, 1] - place_BN3[b, n, 1]
+            if bodies.has_rod_BN[b, n] and math.hypot(dx, dy) < bodies.reach_BN[b, n] + radius_m + NEAR_M:
+                low = tip_m - place_BN3[b, n, 2]
+                _rod_touch(bodies, b, n, turn_BN33[b, n], dx, dy, low, radius_m, touch_BN7[b, n])
+    return touch_BN7
 
 
 @compiled
-def _rod_touch(bodies: Outlines, b: int, n: int, pose_N3: Floats, rod_x: float, rod_y: float, radius_m: float) -> Touch:
-    """Body ``n`` (its pose: x and y of the centre of mass, turn) and a round rod."""
-    cos, sin = math.cos(pose_N3[n, 2]), math.sin(pose_N3[n, 2])
-    dx, dy = rod_x - pose_N3[n, 0], rod_y - pose_N3[n, 1]
-    if not bodies.has_rod_BN[b, n] or math.hypot(dx, dy) > bodies.reach_BN[b, n] + radius_m + NEAR_M:
-        return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf
-    x, y = cos * dx + sin * dy, cos * dy - sin * dx
+def pair_touches(bodies: Outlines, pose_BN3: Floats, height_BN: Floats, margin_m: float) -> Floats:
+    """Touches BNN9 of every body (first) with every other."""
+    num = pose_BN3.shape[1]
+    touch_BNN9 = np.empty((len(pose_BN3), num, num, 9))
+    for b in range(len(pose_BN3)):
+        for i in range(num):
+            for j in range(num):
+                x, y, own_x, own_y, its_x, its_y, gap = _pair_touch(bodies, b, i, j, pose_BN3[b])
+                z = min(bodies.tall_BN[b, i], bodies.tall_BN[b, j]) / 2
+                touch_BNN9[b, i, j, :5] = -x, -y, own_x, own_y, z - height_BN[b, i]
+                touch_BNN9[b, i, j, 5:] = its_x, its_y, z - height_BN[b, j], gap - margin_m
+    return touch_BNN9
+
+
+@compiled
+def _rod_touch(
+    bodies: Outlines,
+    b: int,
+    n: int,
+    turn_33: Floats,
+    dx: float,
+    dy: float,
+    low: float,
+    radius_m: float,
+    touch_7: Floats,
+) -> None:
+    """Of two places, at the lower and the upper end of where body and rod are side by side, the nearer one.
+
+    The rod's axis is at (``dx``, ``dy``) from the centre of mass and begins ``low`` above it (metres, world axes).
+    """
     corner_K2 = bodies.rod_corner_BNK2[b, n]
-    least, near_x, near_y = np.inf, 0.0, 0.0
+    for is_high in range(2):
+        k = _nearest(corner_K2, turn_33[0, 0] * dx + turn_33[1, 0] * dy, turn_33[0, 1] * dx + turn_33[1, 1] * dy)[0]
+        z = bodies.rod_high_BNK[b, n, k] if is_high else max(bodies.rod_low_BNK[b, n, k], low)
+        x = turn_33[0, 0] * dx + turn_33[1, 0] * dy + turn_33[2, 0] * z
+        y = turn_33[0, 1] * dx + turn_33[1, 1] * dy + turn_33[2, 1] * z
+        _, near_x, near_y, square = _nearest(corner_K2, x, y)
+        from_x, from_y = x + bodies.mass_BN2[b, n, 0], y + bodies.mass_BN2[b, n, 1]
+        sign = -1.0 if math.hypot(from_x, from_y) < _radius_at(bodies.rod_BNK[b, n], from_x, from_y) else 1.0
+        distance = math.sqrt(square)
+        gap = sign * distance - radius_m
+        if gap < touch_7[6]:
+            scale = sign / max(distance, TINY_M)
+            in_x, in_y = (near_x - x) * scale, (near_y - y) * scale
+            touch_7[0], touch_7[1], touch_7[2], touch_7[6] = near_x, near_y, z, gap
+            for k in range(3):
+                touch_7[3 + k] = turn_33[k, 0] * in_x + turn_33[k, 1] * in_y
+
+
+@compiled
+def _nearest(corner_K2: Floats, x: float, y: float) -> tuple[int, float, float, float]:
+    """Of an outline: which side is nearest to a point, where on it (x, y), and the square of how far."""
+    least, side, near_x, near_y = np.inf, 0, 0.0, 0.0
     for k in range(len(corner_K2)):
         at_x, at_y = corner_K2[k, 0], corner_K2[k, 1]
         after = 0 if k + 1 == len(corner_K2) else k + 1
@@ -78,14 +144,8 @@ def _rod_touch(bodies: Outlines, b: int, n: int, pose_N3: Floats, rod_x: float, 
         spot_x, spot_y = at_x + along * side_x, at_y + along * side_y
         square = (x - spot_x) ** 2 + (y - spot_y) ** 2
         if square < least:
-            least, near_x, near_y = square, spot_x, spot_y
-    from_x, from_y = x + bodies.mass_BN2[b, n, 0], y + bodies.mass_BN2[b, n, 1]
-    sign = -1.0 if math.hypot(from_x, from_y) < _radius_at(bodies.rod_BNK[b, n], from_x, from_y) else 1.0
-    distance = math.sqrt(least)
-    scale = sign / max(distance, TINY_M)
-    out_x, out_y = (x - near_x) * scale, (y - near_y) * scale
-    lever_x, lever_y = cos * near_x - sin * near_y, sin * near_x + cos * near_y
-    return cos * out_x - sin * out_y, sin * out_x + cos * out_y, lever_x, lever_y, 0.0, 0.0, sign * distance - radius_m
+            least, side, near_x, near_y = square, k, spot_x, spot_y
+    return side, near_x, near_y, least
 
 
 @compiled

@@ -24,7 +24,7 @@ from oes.video.overhead import Overhead, OverheadView
 from oes.video.planet import PlaNet, unroll_latent
 from oes.video.train import is_video_model, load_video_model
 
-MOST_STEPS = 1000
+MOST_STEPS = 2000
 
 
 @dataclass(frozen=True)
