@@ -2,12 +2,9 @@
 
 import math
 
-import pytest
 import torch
-import trimesh
-from shapely import Point, Polygon
 
-from oes.geom.polar import corners, directions, gyration, normals, radius_at, radius_in
+from oes.geom.polar import corners, directions, normals, radius_at, radius_in
 
 
 def ellipse(a: float = 0.04, b: float = 0.025, count: int = 256) -> torch.Tensor:
@@ -32,10 +29,3 @@ def test_normals_of_an_ellipse_are_those_of_geometry() -> None:
     true_K2 /= true_K2.norm(dim=-1, keepdim=True)
     assert (normals(radius_K) * true_K2).sum(-1).min() > 0.9995
     torch.testing.assert_close(normals(torch.zeros(8)), directions(8), msg="of nothing: straight out")
-
-
-def test_gyration_is_that_of_a_thin_plate_of_the_same_outline() -> None:
-    radius_K = ellipse()
-    plate = trimesh.creation.extrude_polygon(Polygon(corners(radius_K).numpy()), 1e-5)
-    assert float(gyration(radius_K)) == pytest.approx(math.sqrt(plate.moment_inertia[2, 2] / plate.mass), rel=1e-3)
-    assert Polygon(corners(radius_K).numpy()).contains(Point(0.039, 0.0))

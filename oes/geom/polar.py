@@ -42,9 +42,3 @@ def normals(radius_PK: Tensor) -> Tensor:
     length_PK1 = across_PK2.norm(dim=-1, keepdim=True)
     radial_K2 = directions(radius_PK.shape[-1], radius_PK.device)
     return torch.where(length_PK1 > 1e-6, across_PK2 / length_PK1.clamp(min=1e-6), radial_K2)
-
-
-def gyration(radius_PK: Tensor) -> Tensor:
-    """Radius of gyration P of the area inside outlines, about the axis: sqrt(mean r^4 / (2 mean r^2))."""
-    fourth_P, second_P = radius_PK.pow(4).mean(-1), radius_PK.square().mean(-1)
-    return (fourth_P / (2 * second_P.clamp(min=1e-8))).sqrt()
