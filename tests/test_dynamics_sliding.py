@@ -107,7 +107,7 @@ def test_a_push_through_the_middle_ends_with_the_rod_at_the_edge() -> None:
     after = slide(bodies, pose, torch.tensor([[-0.05, 0.0]]), torch.tensor([[0.06, 0.0]]), cfg)
     contact_m = 0.03 + cfg.rod_radius_m + cfg.margin_m
     assert float(after.place_BN2[0, 0, 0]) >= 0.01 + contact_m - 1e-4, "it may slide on, but the rod is not in it"
-    assert after.place_BN2[0, 0, 0] < 0.01 + contact_m + 0.03 and abs(float(after.place_BN2[0, 0, 1])) < 1e-3
+    assert after.place_BN2[0, 0, 0] < 0.01 + contact_m + 0.03 and abs(float(after.place_BN2[0, 0, 1])) < 1e-5
 
 
 def test_a_push_left_of_the_middle_turns_an_object_to_the_right() -> None:
@@ -118,7 +118,7 @@ def test_a_push_left_of_the_middle_turns_an_object_to_the_right() -> None:
     for aside in (-0.015, 0.0, 0.015):
         after = slide(bodies, pose, torch.tensor([[-0.045, aside]]), torch.tensor([[0.03, 0.0]]), cfg)
         turns.append(float(after.turn_BN))
-    assert turns[2] < -0.1 and turns[0] == pytest.approx(-turns[2], rel=0.2) and abs(turns[1]) < 0.05
+    assert turns[2] < -0.1 and turns[0] == pytest.approx(-turns[2], rel=0.02) and abs(turns[1]) < 0.03
 
 
 def test_a_struck_disc_hands_on_half_of_its_speed_and_momentum_is_kept() -> None:

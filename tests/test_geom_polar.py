@@ -3,6 +3,7 @@
 import math
 
 import torch
+from shapely import Point, Polygon
 
 from oes.geom.polar import corners, directions, normals, radius_at, radius_in
 
@@ -29,3 +30,7 @@ def test_normals_of_an_ellipse_are_those_of_geometry() -> None:
     true_K2 /= true_K2.norm(dim=-1, keepdim=True)
     assert (normals(radius_K) * true_K2).sum(-1).min() > 0.9995
     torch.testing.assert_close(normals(torch.zeros(8)), directions(8), msg="of nothing: straight out")
+
+
+def test_corners_go_around_what_an_outline_holds() -> None:
+    assert Polygon(corners(ellipse()).numpy()).contains(Point(0.039, 0.0))

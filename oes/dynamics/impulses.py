@@ -65,13 +65,13 @@ def strike(
         np.empty((most, 2), np.int64),
         np.empty((most, 4)),
     )
-    inverse_N33, pushed_R4 = np.empty((num, 3, 3)), np.empty((most, 4))
+    inverse_N33, pushed_R4, still_2 = np.empty((num, 3, 3)), np.empty((most, 4)), np.zeros(2)
     for b in range(len(twist_BN6)):
         for n in range(num):
             _turned(turn_BN33[b, n], inverse_BN33[b, n], heavy_BN[b, n], inverse_N33[n])
         count = 0
         for n in range(num):
-            count = _add_own(rows, count, table, b, n, turn_BN33[b, n], grip_BN3[b, n, 0], np.zeros(2))
+            count = _add_own(rows, count, table, b, n, turn_BN33[b, n], grip_BN3[b, n, 0], still_2)
             count = _add_own(rows, count, rod, b, n, turn_BN33[b, n], grip_BN3[b, n, 1], rod_speed_B2[b])
             count = _add_pairs(rows, count, n, pair_BNN9[b, n], grip_BN3[b, n, 2])
         for r in range(count):
