@@ -148,9 +148,9 @@ def test_touches_tell_where_and_how_far() -> None:
     place_BN3 = torch.cat([pose.place_BN2, bodies.height_BN[..., None]], -1).double().numpy()
     turn_BN33 = np.broadcast_to(np.eye(3), (1, 3, 3, 3)).copy()
     beside, inside = (
-        rod_touches(outlines, place_BN3, turn_BN33, np.array([[x, 0.0]]), rod_m, tip_m)[0] for x in (0.05, 0.08)
+        rod_touches(outlines, place_BN3, turn_BN33, np.array([[x, 0.0]]), rod_m, tip_m)[0] for x in (0.055, 0.08)
     )
-    assert beside[0] == pytest.approx([-0.03, 0, tip_m - 0.02, 1, 0, 0, 0.05 - 0.03 - rod_m], abs=1e-5)
+    assert beside[0] == pytest.approx([-0.03, 0, tip_m - 0.02, 1, 0, 0, 0.045 - 0.03 - rod_m], abs=1e-5)
     assert inside[0, 6] == pytest.approx(-0.01 - rod_m, abs=1e-4) and beside[2, 6] == math.inf
     flat_BN3 = torch.cat([pose.place_BN2, pose.turn_BN[..., None]], -1).double().numpy()
     pairs = pair_touches(outlines, flat_BN3, bodies.height_BN.double().numpy(), 0.002)[0]

@@ -65,7 +65,8 @@ def _added(
     point_43, anchor_43, normal_43, gap_4 = one
     slot, least = -1, far * far
     for c in range(count):
-        square = ((point_43[c] - touch_7[:3]) ** 2).sum()
+        x, y, z = point_43[c, 0] - touch_7[0], point_43[c, 1] - touch_7[1], point_43[c, 2] - touch_7[2]
+        square = x * x + y * y + z * z
         if square < least:
             slot, least = c, square
     if slot < 0 and count < MOST:
@@ -83,19 +84,30 @@ def _added(
 @compiled
 def _spared(point_43: Floats, gap_4: Floats, fresh_3: Floats) -> int:
     """Which of four contacts to give up for a fifth: never the deepest."""
-    deepest, most, slot = int(np.argmin(gap_4)), -1.0, 0
+    deepest, most, slot = 0, -1.0, 0
+    for c in range(1, MOST):
+        deepest = c if gap_4[c] < gap_4[deepest] else deepest
     for c in range(MOST):
-        if c == deepest:
-            continue
-        corner_43 = point_43.copy()
-        corner_43[c] = fresh_3
-        for i in range(1, MOST):
-            j, k = (2, 3) if i == 1 else ((1, 3) if i == 2 else (1, 2))
-            across_3 = np.cross(corner_43[0] - corner_43[i], corner_43[j] - corner_43[k])
-            area = (across_3 * across_3).sum()
+        if c != deepest:
+            area = _span(point_43, c, fresh_3)
             if area > most:
                 most, slot = area, c
     return slot
+
+
+@compiled
+def _span(point_43: Floats, spared: int, fresh_3: Floats) -> float:
+    """How far apart four places are, one of them replaced: the greatest square of twice the area between diagonals."""
+    most = 0.0
+    for i in range(1, MOST):
+        j, k = (2, 3) if i == 1 else ((1, 3) if i == 2 else (1, 2))
+        a_3, b_3 = fresh_3 if spared == 0 else point_43[0], fresh_3 if spared == i else point_43[i]
+        c_3, d_3 = fresh_3 if spared == j else point_43[j], fresh_3 if spared == k else point_43[k]
+        x, y, z = a_3[0] - b_3[0], a_3[1] - b_3[1], a_3[2] - b_3[2]
+        u, v, w = c_3[0] - d_3[0], c_3[1] - d_3[1], c_3[2] - d_3[2]
+        p, q, r = y * w - z * v, z * u - x * w, x * v - y * u
+        most = max(most, p * p + q * q + r * r)
+    return most
 
 
 @compiled

@@ -142,30 +142,41 @@ def _prepare(rows: Rows, r: int, inverse_N33: Floats, heavy_N: Floats) -> None:
     axis_33 = rows.axis_R33[r]
     k = 0 if abs(axis_33[0, 2]) > STEEP else 2
     along = axis_33[0, k]
-    axis_33[1] = -along * axis_33[0]
-    axis_33[1, k] += 1.0
-    axis_33[1] /= np.sqrt(1 - along * along)
+    across = math.sqrt(1 - along * along)
+    for i in range(3):
+        axis_33[1, i] = ((1.0 if i == k else 0.0) - along * axis_33[0, i]) / across
+        rows.soft_R3[r, i] = 0.0
     _cross(axis_33[0], axis_33[1], axis_33[2])
-    rows.soft_R3[r] = 0.0
-    lever_3 = np.empty(3)
     for side in range(2):
         n = rows.body_R2[r, side]
         rows.number_R4[r, 2 + side] = 0.0 if n == NONE else 1 / heavy_N[n]
         if n != NONE:
-            lever_3[:] = rows.torque_R233[r, side, 0]
+            _prepare_side(rows, r, side, inverse_N33[n])
+    if rows.body_R2[r, 1] == NONE:
+        n, share = rows.body_R2[r, 0], 0.0
+        for i in range(3):
+            rate = 0.0
             for k in range(3):
-                torque_3, spin_3 = rows.torque_R233[r, side, k], rows.spin_R233[r, side, k]
-                _cross(lever_3, axis_33[k], torque_3)
-                rows.soft_R3[r, k] += rows.number_R4[r, 2 + side]
-                for i in range(3):
-                    row_3 = inverse_N33[n, i]
-                    spin_3[i] = row_3[0] * torque_3[0] + row_3[1] * torque_3[1] + row_3[2] * torque_3[2]
-                    rows.soft_R3[r, k] += torque_3[i] * spin_3[i]
-    rows.twirl_R4[r, 3] = 0.0
-    for i in range(3):
-        row_3 = inverse_N33[rows.body_R2[r, 0], i]
-        rows.twirl_R4[r, i] = row_3[0] * axis_33[0, 0] + row_3[1] * axis_33[0, 1] + row_3[2] * axis_33[0, 2]
-        rows.twirl_R4[r, 3] += rows.twirl_R4[r, i] * axis_33[0, i]
+                rate += inverse_N33[n, i, k] * rows.axis_R33[r, 0, k]
+            rows.twirl_R4[r, i] = rate
+            share += rate * rows.axis_R33[r, 0, i]
+        rows.twirl_R4[r, 3] = share
+
+
+@compiled
+def _prepare_side(rows: Rows, r: int, side: int, inverse_33: Floats) -> None:
+    """What impulses along the three axes do to the first or the second body."""
+    torque_33, spin_33, axis_33 = rows.torque_R233[r, side], rows.spin_R233[r, side], rows.axis_R33[r]
+    x, y, z = torque_33[0, 0], torque_33[0, 1], torque_33[0, 2]
+    for k in range(3):
+        u, v, w = axis_33[k, 0], axis_33[k, 1], axis_33[k, 2]
+        p, q, s = y * w - z * v, z * u - x * w, x * v - y * u
+        torque_33[k, 0], torque_33[k, 1], torque_33[k, 2] = p, q, s
+        soft = rows.number_R4[r, 2 + side]
+        for i in range(3):
+            spin_33[k, i] = inverse_33[i, 0] * p + inverse_33[i, 1] * q + inverse_33[i, 2] * s
+            soft += torque_33[k, i] * spin_33[k, i]
+        rows.soft_R3[r, k] += soft
 
 
 @compiled

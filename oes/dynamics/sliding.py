@@ -7,6 +7,7 @@ move. Bodies may tilt a little while they slide, and a step leaves them upright;
 where it is. No gradient runs through it.
 """
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
@@ -131,13 +132,19 @@ def _move(place_BN3: Floats, turn_BN33: Floats, twist_BN6: Floats, h: float) -> 
     """Go on for ``h`` seconds at the velocities there are."""
     for b in range(len(place_BN3)):
         for n in range(place_BN3.shape[1]):
-            place_BN3[b, n] += twist_BN6[b, n, :3] * h
-            rate = np.sqrt((twist_BN6[b, n, 3:] ** 2).sum())
+            for k in range(3):
+                place_BN3[b, n, k] += twist_BN6[b, n, k] * h
+            spin_6, turn_33 = twist_BN6[b, n], turn_BN33[b, n]
+            rate = math.sqrt(spin_6[3] * spin_6[3] + spin_6[4] * spin_6[4] + spin_6[5] * spin_6[5])
             if rate > 0:
-                x, y, z = twist_BN6[b, n, 3:] / rate
-                sin, rest = np.sin(rate * h), 1 - np.cos(rate * h)
-                cross_33 = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
-                turn_BN33[b, n] += (sin * cross_33 + rest * (cross_33 @ cross_33)) @ turn_BN33[b, n]
+                x, y, z = spin_6[3] / rate, spin_6[4] / rate, spin_6[5] / rate
+                sin, cos = math.sin(rate * h), math.cos(rate * h)
+                for k in range(3):  # Rodrigues' formula, for each of the body's axes
+                    i, j, m = turn_33[0, k], turn_33[1, k], turn_33[2, k]
+                    along = (x * i + y * j + z * m) * (1 - cos)
+                    turn_33[0, k] = cos * i + sin * (y * m - z * j) + along * x
+                    turn_33[1, k] = cos * j + sin * (z * i - x * m) + along * y
+                    turn_33[2, k] = cos * m + sin * (x * j - y * i) + along * z
 
 
 def _sides(ahead_B2: Floats) -> list[Floats]:

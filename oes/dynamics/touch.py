@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from oes.compiled import compiled
 from oes.episode import Floats
 
-NEAR_M = 0.03  # what is farther apart meets in no short time
+NEAR_M = 0.01  # what is farther apart meets in no short time
 TINY_M = 1e-6
 LEAN = 1e-5  # a slope that decides between feet that are equally low
 LEAST_SLANT = 0.1
@@ -113,8 +113,8 @@ def _rod_touch(
     The rod's axis is at (``dx``, ``dy``) from the centre of mass and begins ``low`` above it (metres, world axes).
     """
     corner_K2 = bodies.rod_corner_BNK2[b, n]
+    k = _nearest(corner_K2, turn_33[0, 0] * dx + turn_33[1, 0] * dy, turn_33[0, 1] * dx + turn_33[1, 1] * dy)[0]
     for is_high in range(2):
-        k = _nearest(corner_K2, turn_33[0, 0] * dx + turn_33[1, 0] * dy, turn_33[0, 1] * dx + turn_33[1, 1] * dy)[0]
         z = bodies.rod_high_BNK[b, n, k] if is_high else max(bodies.rod_low_BNK[b, n, k], low)
         x = turn_33[0, 0] * dx + turn_33[1, 0] * dy + turn_33[2, 0] * z
         y = turn_33[0, 1] * dx + turn_33[1, 1] * dy + turn_33[2, 1] * z
@@ -127,8 +127,8 @@ def _rod_touch(
             scale = sign / max(distance, TINY_M)
             in_x, in_y = (near_x - x) * scale, (near_y - y) * scale
             touch_7[0], touch_7[1], touch_7[2], touch_7[6] = near_x, near_y, z, gap
-            for k in range(3):
-                touch_7[3 + k] = turn_33[k, 0] * in_x + turn_33[k, 1] * in_y
+            for i in range(3):
+                touch_7[3 + i] = turn_33[i, 0] * in_x + turn_33[i, 1] * in_y
 
 
 @compiled
