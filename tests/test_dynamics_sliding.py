@@ -12,7 +12,8 @@ import trimesh
 
 from oes.config import load
 from oes.dynamics.bodies import Bodies, Physics, Pose
-from oes.dynamics.sliding import GRAVITY, outlines_of, slide
+from oes.dynamics.sliding import outlines_of, slide
+from oes.dynamics.times import GRAVITY
 from oes.dynamics.touch import pair_touches, rod_touches
 from oes.dynamics.train import Tasks
 from oes.geom.polar import directions

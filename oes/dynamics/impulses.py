@@ -37,22 +37,21 @@ def strike(
     rod: Kept,
     pair_BNN9: Floats,
     turn_BN33: Floats,
-    inverse_BN33: Floats,
-    heavy_BN: Floats,
+    inertia: tuple[Floats, Floats],
     grip_BN3: Floats,
-    spinning_m: float,
     rod_speed_B2: Floats,
-    h: float,
-    rounds: int,
+    numbers: tuple[float, float, int],
     twist_BN6: Floats,
 ) -> None:
     """Velocities ``twist_BN6`` (of the centre of mass, then angular) such that nothing approaches what it touches in
     ``h`` seconds, and slips along it only where friction (within its cone) is too weak: rounds of one contact after the
     other (projected Gauss-Seidel).
 
-    Inverse inertia is in own axes, for a mass of 1; ``grip_BN3`` friction with table, rod and other bodies,
-    ``spinning_m`` the lever of friction about the normal of one contact; ``pair_BNN9`` see ``oes.dynamics.touch``.
+    ``inertia``: inverse inertia BN33 in own axes, for a mass of 1, and masses BN; ``grip_BN3`` friction with table, rod
+    and other bodies; ``numbers``: the lever of friction about the normal of one contact, ``h`` and how many rounds;
+    ``pair_BNN9`` see ``oes.dynamics.touch``.
     """
+    (inverse_BN33, heavy_BN), (spinning_m, h, rounds) = inertia, numbers
     num = twist_BN6.shape[1]
     most = num * (2 * MOST + num)
     rows = Rows(

@@ -1,13 +1,12 @@
 """Objects on a table, pushed by a rod and by each other: rigid bodies in short times, as in Bullet.
 
 Each is an outline with feet, a height, a centre of mass and an inertia. A step of the robot is many short ones; in
-each, the places where things are nearest join the contacts that are kept (``oes.dynamics.contacts``), these give
-impulses within the cone of friction so that nothing approaches what it touches (``oes.dynamics.impulses``), and all
-move. Bodies may tilt a little while they slide, and a step leaves them upright; what rests and is not touched stays
-where it is. No gradient runs through it.
+each (``oes.dynamics.times``), the places where things are nearest join the contacts that are kept
+(``oes.dynamics.contacts``), these give impulses within the cone of friction so that nothing approaches what it touches
+(``oes.dynamics.impulses``), and all move. Bodies may tilt a little while they slide, and a step leaves them upright;
+what rests and is not touched stays where it is. No gradient runs through it.
 """
 
-import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
@@ -15,20 +14,16 @@ from typing import TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from oes.compiled import compiled
 from oes.dynamics.bodies import Bodies, Physics, Pose
 from oes.dynamics.contacts import keep, none_kept
-from oes.dynamics.impulses import strike
-from oes.dynamics.touch import Outlines, foot_touches, pair_touches, rod_touches
+from oes.dynamics.times import Heft, Moving, Reach, Times, advance
+from oes.dynamics.touch import Outlines, foot_touches
 from oes.episode import Floats
 from oes.geom.polar import corners, normals
 
-GRAVITY = 9.81
 FAR = 0.02  # how far apart, or past each other, a contact's two sides may be, over the radius of a ball around the body
-WAKE_M = 0.002  # how near something must come to what rests
 ROD_REACH_M = 0.075  # the radius of a ball around the rod
 SLOW_M_S = 1e-6
 LEAST_SCENES = 16  # for a thread
@@ -77,9 +72,10 @@ def _slid(bodies: Bodies, pose: Pose, tip_B2: Tensor, action_B2: Tensor, cfg: Ph
     """As ``slide``, in one thread."""
     place_BN3, turn_BN33, twist_BN6 = _upright(bodies, pose)
     rod_B3, speed_B2 = np.concatenate([_array(tip_B2), np.zeros((len(tip_B2), 1))], 1), _array(action_B2) / cfg.step_s
-    _advance(outlines_of(bodies), bodies, (place_BN3, turn_BN33, twist_BN6), rod_B3, speed_B2, cfg)
+    moving = Moving(place_BN3, turn_BN33, twist_BN6, (twist_BN6 != 0).any(-1), rod_B3, speed_B2)
+    flat_BN3 = _advance(bodies, moving, cfg)
     place_BN2, turn_BN, twist_BN3 = (
-        torch.from_numpy(x).to(pose.place_BN2) for x in (place_BN3[..., :2], _yaw(turn_BN33), twist_BN6[..., FLAT])
+        torch.from_numpy(x).to(pose.place_BN2) for x in (flat_BN3[..., :2], flat_BN3[..., 2], twist_BN6[..., FLAT])
     )
     turn_BN = pose.turn_BN + torch.remainder(turn_BN - pose.turn_BN + torch.pi, 2 * torch.pi) - torch.pi
     is_there_BN = bodies.valid_BN
@@ -90,61 +86,33 @@ def _slid(bodies: Bodies, pose: Pose, tip_B2: Tensor, action_B2: Tensor, cfg: Ph
     )
 
 
-def _advance(
-    outlines: Outlines,
-    bodies: Bodies,
-    state: tuple[Floats, Floats, Floats],
-    rod_B3: Floats,
-    speed_B2: Floats,
-    cfg: Physics,
-) -> None:
-    """Change ``state`` (places, turns, velocities) and ``rod_B3`` as ``cfg.parts`` short times do."""
-    place_BN3, turn_BN33, twist_BN6 = state
-    h, (batch, num) = cfg.step_s / cfg.parts, bodies.valid_BN.shape
-    inertia, height_BN = (_array(bodies.inverse_BN33), _array(bodies.heavy_BN)), _array(bodies.height_BN)
+def _advance(bodies: Bodies, moving: Moving, cfg: Physics) -> Floats:
+    """Change ``moving`` as ``cfg.parts`` short times do; where bodies are in the plane afterwards, BN3."""
+    outlines, (batch, num) = outlines_of(bodies), bodies.valid_BN.shape
     grip_3 = np.array([cfg.table_friction, cfg.rod_friction, cfg.object_friction])
-    grip_BN3 = _array(bodies.rough_BN)[..., None] * grip_3
+    heft = Heft(
+        inverse_BN33=_array(bodies.inverse_BN33),
+        heavy_BN=_array(bodies.heavy_BN),
+        height_BN=_array(bodies.height_BN),
+        grip_BN3=_array(bodies.rough_BN)[..., None] * grip_3,
+    )
+    table, rod, speed_B2 = none_kept(batch, num), none_kept(batch, num), moving.speed_B2
     far_BN = FAR * np.hypot(outlines.reach_BN, outlines.tall_BN / 2)
-    rod_far_BN, ground_B3 = np.minimum(far_BN, FAR * ROD_REACH_M), np.zeros((batch, 3))
-    table, rod, rod_m = none_kept(batch, num), none_kept(batch, num), cfg.rod_radius_m + cfg.margin_m
+    reach = Reach(far_BN, np.minimum(far_BN, FAR * ROD_REACH_M), np.zeros((batch, 3)))
     ahead_B2 = speed_B2 / np.maximum(np.hypot(speed_B2[:, :1], speed_B2[:, 1:]), SLOW_M_S)
     for side_B2 in _sides(ahead_B2):  # at rest all stand on four feet
-        feet_BN7 = foot_touches(outlines, place_BN3, turn_BN33, side_B2)
-        keep(table, feet_BN7, place_BN3, turn_BN33, ground_B3, far_BN)
-    is_awake_BN = (twist_BN6 != 0).any(-1)
-    for _ in range(cfg.parts):
-        feet_BN7 = foot_touches(outlines, place_BN3, turn_BN33, ahead_B2)
-        sides_BN7 = rod_touches(outlines, place_BN3, turn_BN33, rod_B3[:, :2], rod_m, cfg.tip_m)
-        keep(table, feet_BN7, place_BN3, turn_BN33, ground_B3, far_BN)
-        keep(rod, sides_BN7, place_BN3, turn_BN33, rod_B3, rod_far_BN)
-        flat_BN3 = np.concatenate([place_BN3[..., :2], _yaw(turn_BN33)[..., None]], -1)
-        pair_BNN9 = pair_touches(outlines, flat_BN3, height_BN, cfg.margin_m)
-        is_awake_BN |= (rod.count_BN > 0) | (pair_BNN9[..., 8].min(-1) < WAKE_M)
-        twist_BN6[..., 2] -= GRAVITY * h
-        strike(table, rod, pair_BNN9, turn_BN33, *inertia, grip_BN3, cfg.spinning_m, speed_B2, h, cfg.rounds, twist_BN6)
-        twist_BN6 *= is_awake_BN[..., None]
-        _move(place_BN3, turn_BN33, twist_BN6, h)
-        rod_B3[:, :2] += speed_B2 * h
-
-
-@compiled
-def _move(place_BN3: Floats, turn_BN33: Floats, twist_BN6: Floats, h: float) -> None:
-    """Go on for ``h`` seconds at the velocities there are."""
-    for b in range(len(place_BN3)):
-        for n in range(place_BN3.shape[1]):
-            for k in range(3):
-                place_BN3[b, n, k] += twist_BN6[b, n, k] * h
-            spin_6, turn_33 = twist_BN6[b, n], turn_BN33[b, n]
-            rate = math.sqrt(spin_6[3] * spin_6[3] + spin_6[4] * spin_6[4] + spin_6[5] * spin_6[5])
-            if rate > 0:
-                x, y, z = spin_6[3] / rate, spin_6[4] / rate, spin_6[5] / rate
-                sin, cos = math.sin(rate * h), math.cos(rate * h)
-                for k in range(3):  # Rodrigues' formula, for each of the body's axes
-                    i, j, m = turn_33[0, k], turn_33[1, k], turn_33[2, k]
-                    along = (x * i + y * j + z * m) * (1 - cos)
-                    turn_33[0, k] = cos * i + sin * (y * m - z * j) + along * x
-                    turn_33[1, k] = cos * j + sin * (z * i - x * m) + along * y
-                    turn_33[2, k] = cos * m + sin * (x * j - y * i) + along * z
+        feet_BN7 = foot_touches(outlines, moving.place_BN3, moving.turn_BN33, side_B2)
+        keep(table, feet_BN7, moving.place_BN3, moving.turn_BN33, reach.ground_B3, far_BN)
+    times = Times(
+        h=cfg.step_s / cfg.parts,
+        parts=cfg.parts,
+        rounds=cfg.rounds,
+        spinning_m=cfg.spinning_m,
+        rod_m=cfg.rod_radius_m + cfg.margin_m,
+        tip_m=cfg.tip_m,
+        margin_m=cfg.margin_m,
+    )
+    return advance(outlines, heft, (table, rod), reach, moving, ahead_B2, times)
 
 
 def _sides(ahead_B2: Floats) -> list[Floats]:
@@ -164,11 +132,6 @@ def _upright(bodies: Bodies, pose: Pose) -> tuple[Floats, Floats, Floats]:
     twist_BN6 = np.zeros((*turn_BN.shape, 6))
     twist_BN6[..., FLAT] = _array(pose.twist_BN3)
     return place_BN3, turn_BN33, twist_BN6
-
-
-def _yaw(turn_BN33: Floats) -> NDArray[np.float64]:
-    """The angles BN of the turns about the vertical that come nearest to rotations."""
-    return np.arctan2(turn_BN33[..., 1, 0] - turn_BN33[..., 0, 1], turn_BN33[..., 0, 0] + turn_BN33[..., 1, 1])
 
 
 def outlines_of(bodies: Bodies) -> Outlines:

@@ -67,14 +67,14 @@ def foot_touches(bodies: Outlines, place_BN3: Floats, turn_BN33: Floats, side_B2
 
 @compiled
 def rod_touches(
-    bodies: Outlines, place_BN3: Floats, turn_BN33: Floats, rod_B2: Floats, radius_m: float, tip_m: float
+    bodies: Outlines, place_BN3: Floats, turn_BN33: Floats, rod_B3: Floats, radius_m: float, tip_m: float
 ) -> Floats:
-    """Touches BN7 of every body with a round rod at ``rod_B2`` whose tip is ``tip_m`` above the table."""
+    """Touches BN7 of every body with a round rod at ``rod_B3`` (x, y) whose tip is ``tip_m`` above the table."""
     touch_BN7 = np.zeros((*place_BN3.shape[:2], 7))
     for b in range(len(place_BN3)):
         for n in range(place_BN3.shape[1]):
             touch_BN7[b, n, 6] = np.inf
-            dx, dy = rod_B2[b, 0] - place_BN3[b, n, 0], rod_B2[b, 1] - place_BN3[b, n, 1]
+            dx, dy = rod_B3[b, 0] - place_BN3[b, n, 0], rod_B3[b, 1] - place_BN3[b, n, 1]
             if bodies.has_rod_BN[b, n] and math.hypot(dx, dy) < bodies.reach_BN[b, n] + radius_m + NEAR_M:
                 low = tip_m - place_BN3[b, n, 2]
                 _rod_touch(bodies, b, n, turn_BN33[b, n], dx, dy, low, radius_m, touch_BN7[b, n])
