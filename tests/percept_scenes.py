@@ -25,7 +25,7 @@ from oes.percept.surface import Cylinder, Surface
 
 SIZES = {"brick": (0.12, 0.06, 0.06), "tile": (0.1, 0.1, 0.04)}
 GRID = Grid(min_m=(-0.32, -0.32, -0.04), shape=(64, 64, 32), voxel_m=0.01)
-CYLINDER = Cylinder(directions=32, distances=12, step_m=0.008, bands=4, band_m=0.02)
+CYLINDER = Cylinder(directions=32, distances=24, step_m=0.004, bands=4, band_m=0.02)
 TABLE = (np.array([0.6, 0.6, 0.04]), rigid(np.eye(3), np.array([0.0, 0.0, -0.02])), np.array([150, 140, 130]))
 
 
@@ -117,7 +117,7 @@ def small_network() -> Network:
                 num_samples=4,
             ),
         ),
-        surface=Surface(cylinder=CYLINDER, channels=(8, 8), width=16),
+        surface=Surface(cylinder=CYLINDER, channels=(8, 8), width=16, column=16),
     )
 
 

@@ -102,7 +102,8 @@ class Perceiver:
         lifted = lift(self.net.cfg.lift, scene.views, scene.features_BVHWC, places).reshape(
             batch * count, -1, self.net.lifted
         )
-        return head.inputs(lifted, mask_BNXYZ.to(self.device).flatten(0, 1), self.net.roi.window, *flat)
+        cameras = scene.views.world_T_cam_BV44[:, :, :3, 3].repeat_interleave(count, 0)
+        return head.inputs(lifted, mask_BNXYZ.to(self.device).flatten(0, 1), self.net.roi.window, flat, cameras)
 
     @torch.inference_mode()
     def surfaces(self, scene: Scene, centers_N3: Tensor, sizes_N3: Tensor, mask_NXYZ: Tensor) -> tuple[Tensor, Tensor]:

@@ -20,9 +20,11 @@ from oes.geom.voxels import Grid, sample
 WHOLE, ABOVE, BANDS = 0, 1, 2  # rows of an outline: of all bands; of all but the lowest; then the bands, upwards
 RADIUS, SCALE, PRESENCE = 0, 1, 2  # what is known of it in each direction
 NUM_BOX = 3  # channels beside the lifted ones: mask, distance from the axis over the box's size, height over the box's
+FOLD = 2  # so many neighbouring distances become channels of one at once
 UNIT_M = 0.05
 LEAST_SCALE_M = 3e-4
 GROUPS = 8
+ROUNDS = (5, 9, 9, 5)  # how many directions wide the blocks around the cylinder are
 
 
 @params
@@ -50,11 +52,12 @@ class Cylinder:
 @params
 class Surface:
     """The cylinder, and the widths of the network: channels on the cylinder (halved in distance after each) and around
-    it."""
+    it; ``column``: of what is read off all distances and bands of one direction at once."""
 
     cylinder: Cylinder
     channels: tuple[int, ...]
     width: int
+    column: int
 
 
 @dataclass(frozen=True)
@@ -104,25 +107,32 @@ class SurfaceHead(nn.Module):
         cylinder = cfg.cylinder
         self.register_buffer("points", cylinder_points(cylinder), persistent=False)
         widths = cfg.channels
-        self.stem = nn.Conv2d((lifted + NUM_BOX) * cylinder.bands, widths[0], 1)
+        seen = (lifted + NUM_BOX) * cylinder.bands + 1
+        self.stem = nn.Conv2d(seen, widths[0], (1, FOLD), stride=(1, FOLD))
         self.blocks = nn.ModuleList(Around(width, (3, 3)) for width in widths)
         self.downs = nn.ModuleList(nn.Conv2d(a, b, (1, 2), stride=(1, 2)) for a, b in pairwise((*widths, widths[-1])))
-        flat = widths[-1] * (cylinder.distances >> len(widths))
+        flat = widths[-1] * (cylinder.distances // FOLD >> len(widths))
         self.join = nn.Conv2d(flat, cfg.width, 1)
-        self.context = nn.Conv2d(cfg.width, cfg.width, 1)
-        self.rounds = nn.ModuleList(Around(cfg.width, (kernel, 1)) for kernel in (5, 9, 5))
-        self.out = nn.Conv2d(cfg.width, 3 * cylinder.rows + 2, 1)
+        self.column = nn.Linear(seen * cylinder.distances, cfg.column)
+        self.beside = nn.Conv2d(cfg.column, cfg.width, 1)
+        self.context = nn.ModuleList(nn.Conv2d(cfg.width, cfg.width, 1) for _ in ROUNDS)
+        self.rounds = nn.ModuleList(Around(cfg.width, (kernel, 1)) for kernel in ROUNDS)
+        self.out, self.direct = (nn.Conv2d(width, 3 * cylinder.rows + 2, 1) for width in (cfg.width, cfg.column))
         nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.direct.weight)
 
     def forward(self, inputs_PCKL: Tensor) -> SurfaceOutput:
         """``inputs_PCKL``: what ``inputs`` gives."""
         x = F.relu(self.stem(inputs_PCKL))
         for block, down in zip(self.blocks, self.downs, strict=True):
             x = F.relu(down(block(x)))
-        x = F.relu(self.join(x.movedim(-1, 2).flatten(1, 2)[..., None]))
-        for block in self.rounds:
-            x = block(x + self.context(x.mean(2, keepdim=True)))
-        out_PCK = self.out(x)[..., 0].float()
+        x = self.join(x.movedim(-1, 2).flatten(1, 2)[..., None])
+        column_PCK1 = F.relu(self.column(inputs_PCKL.movedim(2, 1).flatten(2))).mT[..., None]
+        x = F.relu(x + self.beside(column_PCK1))
+        for block, context in zip(self.rounds, self.context, strict=True):
+            x = block(x + context(x.mean(2, keepdim=True)))
+        # norms take from an object what it is everywhere, such as its height: columns tell that past them
+        out_PCK = (self.out(x) + self.direct(column_PCK1))[..., 0].float()
         rows_PR3K = out_PCK[:, :-2].unflatten(1, (self.cfg.cylinder.rows, 3))
         side_P2 = out_PCK[:, -2] @ directions(out_PCK.shape[-1], out_PCK.device) / out_PCK.shape[-1] * UNIT_M
         return SurfaceOutput(
@@ -138,9 +148,16 @@ class SurfaceHead(nn.Module):
         return foot_P3[:, None] + self.points.reshape(-1, 3)
 
     def inputs(
-        self, lifted_PQC: Tensor, mask_PXYZ: Tensor, window: Grid, centers_P3: Tensor, sizes_P3: Tensor
+        self,
+        lifted_PQC: Tensor,
+        mask_PXYZ: Tensor,
+        window: Grid,
+        boxes: tuple[Tensor, Tensor],
+        cameras_PV3: Tensor,
     ) -> Tensor:
-        """PCKL for ``forward``: what the views say at ``places``, the mask and where that is in the box."""
+        """PCKL for ``forward``: what the views say at ``places``, the mask and where that is in the box (centres P3,
+        sizes P3); and how much each direction faces the cameras."""
+        centers_P3, sizes_P3 = boxes
         offset_PQ3 = self.places(centers_P3, sizes_P3) - centers_P3[:, None]
         mask_PQ1 = sample(mask_PXYZ[:, None].float(), window, offset_PQ3)
         half_P13 = sizes_P3[:, None].clamp(min=1e-3) / 2
@@ -149,7 +166,10 @@ class SurfaceHead(nn.Module):
         all_PQC = torch.cat([lifted_PQC.float(), mask_PQ1, aside_PQ1, up_PQ1], -1)
         cylinder = self.cfg.cylinder
         parts = all_PQC.reshape(len(all_PQC), cylinder.directions, cylinder.distances, cylinder.bands, -1)
-        return parts.flatten(3).movedim(-1, 1)
+        toward_P3 = F.normalize(cameras_PV3 - centers_P3[:, None], dim=-1).mean(1)
+        facing_PK = toward_P3[:, :2] @ directions(cylinder.directions, toward_P3.device).T
+        facing_P1KL = facing_PK[:, None, :, None].expand(-1, 1, -1, cylinder.distances)
+        return torch.cat([parts.flatten(3).movedim(-1, 1), facing_P1KL], 1)
 
 
 def cylinder_points(cfg: Cylinder) -> Tensor:
