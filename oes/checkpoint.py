@@ -14,14 +14,19 @@ from oes.weights import read_tensors, write_tensors
 Row = dict[str, float]
 
 FORMAT = "oes-fit-1"
+OPTIMIZERS = ADAMW, MUON = ("adamw", "muon")
 
 
 @params
 class Fit:
-    """How to train. ``lr`` is the peak; it falls to a hundredth. ``ema_decay`` 0 keeps the last weights instead."""
+    """How to train. ``lr`` is the peak; it falls to a hundredth. ``ema_decay`` 0 keeps the last weights instead.
+
+    ``optimizer``: one of ``OPTIMIZERS``; ``muon`` is for weights of two or more dimensions, the rest is AdamW's.
+    """
 
     steps: int
     batch: int
+    optimizer: str
     lr: float
     warmup_steps: int
     weight_decay: float
@@ -39,6 +44,8 @@ class Fit:
                 raise ValueError(f"{name} must be positive")
         if not 0 <= self.ema_decay < 1:
             raise ValueError("ema_decay must be in [0, 1)")
+        if self.optimizer not in OPTIMIZERS:
+            raise ValueError(f"optimizer must be one of {', '.join(OPTIMIZERS)}; found {self.optimizer!r}")
 
 
 class FitError(ValueError):
@@ -51,7 +58,7 @@ class Training:
 
     model: nn.Module
     ema: nn.Module | None
-    optimizer: torch.optim.AdamW
+    optimizers: list[torch.optim.Optimizer]
     rows: list[Row]
     step: int
 
@@ -61,8 +68,8 @@ def save(training: Training, path: Path, cfg: Fit) -> None:
     tensors = {f"model.{name}": value for name, value in training.model.state_dict().items()}
     if training.ema is not None:
         tensors |= {f"ema.{name}": value for name, value in training.ema.state_dict().items()}
-    for i, p in enumerate(_trained(training)):
-        tensors |= {f"optimizer.{i}.{name}": value for name, value in training.optimizer.state[p].items()}
+    for i, (optimizer, p) in enumerate(_trained(training)):
+        tensors |= {f"optimizer.{i}.{name}": value for name, value in optimizer.state[p].items()}
     tensors = {name: value.detach().cpu() for name, value in tensors.items()}
     about = {"format": FORMAT, "cfg": to_json(cfg), "step": str(training.step), "rows": json.dumps(training.rows)}
     write_tensors(tensors, path, about)
@@ -77,20 +84,21 @@ def restore(training: Training, path: Path, cfg: Fit) -> None:
         training.model.load_state_dict(_under("model.", tensors))
         if training.ema is not None:
             training.ema.load_state_dict(_under("ema.", tensors))
-        for i, p in enumerate(_trained(training)):
-            training.optimizer.state[p] = _moments(_under(f"optimizer.{i}.", tensors), p)
+        for i, (optimizer, p) in enumerate(_trained(training)):
+            optimizer.state[p] = _moments(_under(f"optimizer.{i}.", tensors), p)
     except (RuntimeError, KeyError) as error:
         raise FitError(f"{path}: holds another model: {error}") from error
     training.rows = json.loads(about["rows"])
     training.step = int(about["step"])
 
 
-def _trained(training: Training) -> list[Tensor]:
-    return [p for group in training.optimizer.param_groups for p in group["params"]]
+def _trained(training: Training) -> list[tuple[torch.optim.Optimizer, Tensor]]:
+    """Every trained parameter with its optimizer, in a fixed order."""
+    return [(each, p) for each in training.optimizers for group in each.param_groups for p in group["params"]]
 
 
 def _moments(saved: dict[str, Tensor], p: Tensor) -> dict[str, Tensor]:
-    """AdamW's state of one parameter: the moments in the parameter's own layout, the counter as it was."""
+    """An optimizer's state of one parameter: the moments in the parameter's own layout, the counter as it was."""
     return {
         name: value if name == "step" else torch.empty_like(p, requires_grad=False).copy_(value)
         for name, value in saved.items()

@@ -1,4 +1,4 @@
-"""The one training loop: AdamW, warm-up and cosine, weight averaging, exact resumption.
+"""The one training loop: AdamW or Muon, warm-up and cosine, weight averaging, exact resumption.
 
 A step depends on its index, the config and the weights alone (batch, learning rate, random numbers), so that a run
 killed at any moment and started again ends in the same weights, bit for bit, as one that was never stopped.
@@ -17,7 +17,8 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from oes.checkpoint import Fit, FitError, Row, Training, restore, save
+from oes.checkpoint import MUON, Fit, FitError, Row, Training, restore, save
+from oes.muon import Muon
 from oes.precision import half_precision
 
 __all__ = ["Fit", "FitError", "fit", "learning_rate"]
@@ -42,6 +43,7 @@ def fit(
 ) -> list[Row]:
     """Train ``model`` in place; return its log: a row every ``log_every_steps`` and at every checkpoint.
 
+    With Muon, AdamW still trains what is no matrix, and the weights of the modules in ``model.outputs`` if it has that.
     ``batch_at(step)`` runs in a background thread, one batch ahead; it must depend on ``step`` alone and draw from a
     generator of its own. ``loss(model, batch)`` returns named scalar terms on ``device``, summed with ``weights`` (the
     same names); random numbers drawn in it from torch's global generator are repeatable. ``validate(model)`` is called
@@ -82,15 +84,19 @@ def fit(
 
 
 def _begin(model: nn.Module, cfg: Fit) -> Training:
-    groups = [
-        {
-            "params": [p for p in model.parameters() if p.requires_grad and p.ndim >= 2],
-            "weight_decay": cfg.weight_decay,
-        },
-        {"params": [p for p in model.parameters() if p.requires_grad and p.ndim < 2], "weight_decay": 0.0},
-    ]
     ema = copy.deepcopy(model).eval().requires_grad_(False) if cfg.ema_decay > 0 else None
-    return Training(model, ema, torch.optim.AdamW(groups, lr=cfg.lr), [], 0)
+    trained = [p for p in model.parameters() if p.requires_grad]
+    weights, rest = [p for p in trained if p.ndim >= 2], [p for p in trained if p.ndim < 2]
+    inner: list[nn.Parameter] = []
+    if cfg.optimizer == MUON:
+        last = {id(p) for module in getattr(model, "outputs", ()) for p in module.parameters()}
+        inner = [p for p in weights if id(p) not in last]
+        weights = [p for p in weights if id(p) in last]
+    groups = [{"params": weights, "weight_decay": cfg.weight_decay}, {"params": rest, "weight_decay": 0.0}]
+    optimizers: list[torch.optim.Optimizer] = [torch.optim.AdamW(groups, lr=cfg.lr)]
+    if inner:
+        optimizers.append(Muon(inner, cfg.lr, cfg.weight_decay))
+    return Training(model, ema, optimizers, [], 0)
 
 
 def _step(
@@ -103,16 +109,18 @@ def _step(
 ) -> Tensor:
     """One update; returns the L loss terms."""
     torch.manual_seed(cfg.seed * 1_000_003 + training.step)
-    for group in training.optimizer.param_groups:
-        group["lr"] = learning_rate(training.step, cfg)
+    for optimizer in training.optimizers:
+        for group in optimizer.param_groups:
+            group["lr"] = learning_rate(training.step, cfg)
     with half_precision(weights_L.device, cfg.bfloat16):
         terms = loss(training.model, batch)
     assert set(terms) == set(names), f"loss terms {sorted(terms)} are not the weights' {sorted(names)}"
     terms_L = torch.stack([terms[name].float() for name in names])
-    training.optimizer.zero_grad(set_to_none=True)
+    training.model.zero_grad(set_to_none=True)
     (terms_L @ weights_L).backward()  # type: ignore[no-untyped-call]
     nn.utils.clip_grad_norm_(training.model.parameters(), cfg.clip)
-    training.optimizer.step()
+    for optimizer in training.optimizers:
+        optimizer.step()
     training.step += 1
     if training.ema is not None:
         _average(training.ema, training.model, min(cfg.ema_decay, training.step / (training.step + WARM_EMA_STEPS)))

@@ -28,6 +28,7 @@ from tests.test_dynamics_models import NET, SEEN, make_actions, make_model, make
 FIT = Fit(
     steps=6,
     batch=4,
+    optimizer="adamw",
     lr=1e-3,
     warmup_steps=1,
     weight_decay=0.0,

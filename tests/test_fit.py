@@ -13,11 +13,12 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from oes.fit import Fit, FitError, fit, learning_rate
+from oes.muon import orthogonal
 
 CPU = torch.device("cpu")
 CFG = {
-    "steps": 60, "batch": 16, "lr": 1.0e-2, "warmup_steps": 5, "weight_decay": 0.01, "clip": 1.0, "ema_decay": 0.9,
-    "bfloat16": False, "checkpoint_every_steps": 20, "log_every_steps": 8, "seed": 3,
+    "steps": 60, "batch": 16, "optimizer": "adamw", "lr": 1.0e-2, "warmup_steps": 5, "weight_decay": 0.01,
+    "clip": 1.0, "ema_decay": 0.9, "bfloat16": False, "checkpoint_every_steps": 20, "log_every_steps": 8, "seed": 3,
 }  # fmt: skip
 WEIGHTS = {"fit": 1.0, "size": 1.0e-3}
 
@@ -50,7 +51,7 @@ def validate(model: nn.Module) -> dict[str, float]:
     return {"val": float(loss(model, batch_at(-1 % 1000))["fit"])}
 
 
-def train(work: Path, stop_at: int | None = None, **changes: float) -> tuple[nn.Module, list[dict[str, float]]]:
+def train(work: Path, stop_at: int | None = None, **changes: float | str) -> tuple[nn.Module, list[dict[str, float]]]:
     def batches(step: int) -> tuple[Tensor, Tensor]:
         if step == stop_at:
             raise Stopped
@@ -90,6 +91,23 @@ def test_resumed_equals_unbroken(tmp_path: Path, unbroken: tuple, stop_at: int) 
     torch.rand(100)  # the process that goes on has another history
     assert_same(*train(tmp_path), unbroken)
     assert_same(*train(tmp_path), unbroken)  # finished already: nothing is left to do
+
+
+def test_resumed_equals_unbroken_with_muon(tmp_path: Path) -> None:
+    model, rows = train(tmp_path / "whole", optimizer="muon")
+    assert rows[-1]["fit"] < 0.3 * rows[0]["fit"]
+    with pytest.raises(Stopped):
+        train(tmp_path / "parts", 21, optimizer="muon")
+    assert_same(*train(tmp_path / "parts", optimizer="muon"), (model.state_dict(), rows))
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (6, 40), (40, 6)])
+def test_muon_steps_are_about_orthogonal(shape: tuple[int, int]) -> None:
+    matrix = torch.randn(shape, generator=torch.Generator().manual_seed(0))
+    u, _, vh = torch.linalg.svd(matrix, full_matrices=False)
+    turned = u.mT @ orthogonal(matrix) @ vh.mT  # in the matrix's own singular vectors
+    assert turned.diagonal().min() > 0.5 and turned.diagonal().max() < 1.3
+    assert (turned - turned.diagonal().diag()).abs().max() < 1e-4
 
 
 def test_killed_process_goes_on(tmp_path: Path, unbroken: tuple) -> None:
@@ -160,7 +178,9 @@ def test_learning_rate_rises_and_falls_to_a_hundredth() -> None:
     assert rates == sorted(rates[:6]) + sorted(rates[6:], reverse=True)
 
 
-@pytest.mark.parametrize("change", [{"steps": 0}, {"clip": 0.0}, {"ema_decay": 1.0}, {"lr": "1e-3"}])
+@pytest.mark.parametrize(
+    "change", [{"steps": 0}, {"clip": 0.0}, {"ema_decay": 1.0}, {"lr": "1e-3"}, {"optimizer": "sgd"}]
+)
 def test_senseless_settings_are_refused(change: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(change))):
         Fit(**(CFG | change))

@@ -21,6 +21,7 @@ from tests.percept_scenes import CYLINDER, SIZES, BoxWorld, box_shells, box_soli
 FIT = Fit(
     steps=60,
     batch=8,
+    optimizer="muon",
     lr=3e-3,
     warmup_steps=5,
     weight_decay=0.01,

@@ -33,6 +33,7 @@ VIEW = OverheadView(side_px=64, height_m=1.5, half_m=0.32)
 FIT = Fit(
     steps=60,
     batch=8,
+    optimizer="adamw",
     lr=3e-3,
     warmup_steps=5,
     weight_decay=0.0,

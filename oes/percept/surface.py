@@ -142,6 +142,11 @@ class SurfaceHead(nn.Module):
             mass_P3=torch.cat([side_P2, out_PCK[:, -1:].mean(-1) * UNIT_M], -1),
         )
 
+    @property
+    def outputs(self) -> tuple[nn.Module, ...]:
+        """What gives the answers: not for Muon (see ``oes.fit``)."""
+        return self.out, self.direct
+
     def places(self, centers_P3: Tensor, sizes_P3: Tensor) -> Tensor:
         """World points P(KLB)3 of the cylinders of P boxes."""
         foot_P3 = torch.cat([centers_P3[:, :2], base(centers_P3, sizes_P3)[:, None]], -1)
