@@ -40,6 +40,36 @@ def test_surface_voxels_carry_the_colour_of_the_box() -> None:
     np.testing.assert_allclose(found[4:], color, atol=0.02)
 
 
+def test_between_pixels_a_flat_surface_is_where_it_is() -> None:
+    world = BoxWorld(1)
+    step = world.episodes[0].steps[0]
+    views = views_of(*world.read(0, 0, [1]))
+    center, size = step.center_N3[0], step.size_N3[0]
+    inner = np.linspace(center - size / 5, center + size / 5, 23)
+    top = torch.tensor(np.column_stack([inner[:, :2], np.full(len(inner), center[2] + size[2] / 2)])).float()[None]
+    nearest, between = (
+        lift(CFG, views, views.rgb_BVHW3, top, between_pixels=flag)[..., 0].abs() * CFG.truncation_m
+        for flag in (False, True)
+    )
+    assert between.max() < 1e-5
+    assert nearest.max() > 1e-3
+
+
+def test_between_pixels_an_edge_stays_sharp() -> None:
+    world = BoxWorld(1)
+    views = views_of(*world.read(0, 0, [1]))
+    depth = torch.full_like(views.depth_m_BVHW, 0.8)
+    middle = depth.shape[-1] // 2
+    depth[..., middle:] = 1.0
+    edge = Views(views.rgb_BVHW3, depth, views.K_BV33, views.world_T_cam_BV44)
+    rays = torch.tensor([[middle + aside, 20.2, 1.0] for aside in (-1.1, -0.1, 0.1, 1.1)])
+    points_cam = rays @ torch.linalg.inv(views.K_BV33[0, 0]).mT * 0.9
+    R, t = views.world_T_cam_BV44[0, 0, :3, :3], views.world_T_cam_BV44[0, 0, :3, 3]
+    found = lift(CFG, edge, views.rgb_BVHW3, (points_cam @ R.mT + t)[None], between_pixels=True)[0]
+    assert found[:, 3].tolist() == [1, 1, 0, 0]  # hidden behind the near side, in the open before the far one
+    assert found[:, 2].tolist() == [0, 0, 1, 1]
+
+
 def test_the_order_of_views_does_not_matter_and_scenes_do_not_mix() -> None:
     world = BoxWorld(2)
     points = centers(GRID)[::3, ::3, ::3].reshape(1, -1, 3)

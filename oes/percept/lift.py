@@ -15,6 +15,7 @@ from oes.geom.se3 import inverse
 
 NUM_GEOMETRY = 4
 SIGNED, UNSEEN = 0, 3
+ONE_SURFACE_M = 0.02  # pixels side by side whose depths differ by less show one surface
 
 
 @params
@@ -59,8 +60,11 @@ def views_of(frames: Frames, cameras: tuple[Camera, ...] | list[Camera]) -> View
     )
 
 
-def lift(cfg: Lift, views: Views, features_BVHWC: Tensor, points_BP3: Tensor) -> Tensor:
-    """What the views say about each point, BP(4+C), the mean over the views that see it.
+def lift(
+    cfg: Lift, views: Views, features_BVHWC: Tensor, points_BP3: Tensor, *, between_pixels: bool = False
+) -> Tensor:
+    """What the views say about each point, BP(4+C), the mean over the views that see it; if ``between_pixels``, with
+    the depth between pixels of one surface in place of that of the nearest.
 
     Channels: signed distance in [-1, 1] (units of the truncation, positive in front, 0 where unseen), nearness of a
     surface (1 on it), seen to be free, unseen by every view; then the features of surfaces in reach (0 where none is).
@@ -69,7 +73,7 @@ def lift(cfg: Lift, views: Views, features_BVHWC: Tensor, points_BP3: Tensor) ->
     distance, seen, near, free = points_BP3.new_zeros(4, batch, points).unbind(0)
     features = features_BVHWC.new_zeros(batch * points, features_BVHWC.shape[-1])
     for view in range(views.depth_m_BVHW.shape[1]):
-        pixel, depth, inside = _look_up(views, view, points_BP3)
+        pixel, depth, inside = _look_up(views, view, points_BP3, between_pixels)
         signed = (depth / cfg.truncation_m).clamp(-1, 1)
         visible = (inside & (signed > -1)).float()
         weight = (1 - signed.abs()) * visible
@@ -84,7 +88,7 @@ def lift(cfg: Lift, views: Views, features_BVHWC: Tensor, points_BP3: Tensor) ->
     return torch.cat([geometry.to(features.dtype), surface], dim=-1)
 
 
-def _look_up(views: Views, view: int, points_BP3: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _look_up(views: Views, view: int, points_BP3: Tensor, between_pixels: bool) -> tuple[Tensor, Tensor, Tensor]:
     """For points BP3: flat pixel index over B H W, distance in front of the surface seen there, and if in the image."""
     depth_BHW = views.depth_m_BVHW[:, view]
     batch, height, width = depth_BHW.shape
@@ -98,4 +102,20 @@ def _look_up(views: Views, view: int, points_BP3: Tensor) -> tuple[Tensor, Tenso
     column, row = u.clamp(0, width - 1).long(), v.clamp(0, height - 1).long()
     pixel = torch.arange(batch, device=z.device)[:, None] * (height * width) + row * width + column
     depth = depth_BHW.flatten()[pixel]
+    if between_pixels:
+        depth = _between(depth_BHW, u, v, depth)
     return pixel, torch.where(depth > 0, depth, torch.inf) - z, inside
+
+
+def _between(depth_BHW: Tensor, u_BP: Tensor, v_BP: Tensor, nearest_BP: Tensor) -> Tensor:
+    """Depths BP at places in the images: on the plane through the four pixels around, where these are one surface."""
+    batch, height, width = depth_BHW.shape
+    column, row = (u_BP - 0.5).clamp(0, width - 1.001), (v_BP - 0.5).clamp(0, height - 1.001)
+    left, top = column.floor(), row.floor()
+    across, down = column - left, row - top
+    corner = torch.arange(batch, device=u_BP.device)[:, None] * (height * width) + (top * width + left).long()
+    flat = depth_BHW.flatten()
+    four_4BP = torch.stack([flat[corner + offset] for offset in (0, 1, width, width + 1)])
+    share_4BP = torch.stack([(1 - across) * (1 - down), across * (1 - down), (1 - across) * down, across * down])
+    is_one_BP = (four_4BP > 0).all(0) & ((four_4BP - nearest_BP).abs().amax(0) < ONE_SURFACE_M)
+    return torch.where(is_one_BP, 1 / (share_4BP / four_4BP.clamp(min=1e-3)).sum(0), nearest_BP)

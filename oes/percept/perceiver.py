@@ -99,7 +99,7 @@ class Perceiver:
                 mask_BNXYZ = self.net.regions(scene, boxes).mask_BKXYZ.sigmoid()
         flat = boxes[0].flatten(0, 1), boxes[1].flatten(0, 1)
         places = head.places(*flat).reshape(batch, -1, 3)
-        lifted = lift(self.net.cfg.lift, scene.views, scene.features_BVHWC, places).reshape(
+        lifted = lift(self.net.cfg.lift, scene.views, scene.features_BVHWC, places, between_pixels=True).reshape(
             batch * count, -1, self.net.lifted
         )
         cameras = scene.views.world_T_cam_BV44[:, :, :3, 3].repeat_interleave(count, 0)
