@@ -59,6 +59,22 @@ def test_a_forecast_is_the_mean_of_its_futures_and_their_spread_its_doubt() -> N
 
 
 @torch.no_grad()
+def test_what_nothing_touches_stays_whatever_the_graph_network_says() -> None:
+    objects = make_objects(scenes=1)
+    objects = replace(objects, center_N3=torch.tensor([[[0.06, 0.0, 0.04], [0.0, 0.3, 0.04], [0.0, -0.3, 0.04]]]))
+    model = make_model("contact", objects)
+    assert isinstance(model, Contact)
+    torch.nn.init.normal_(model.graph.head.weight, std=0.1)
+    tip, actions = torch.zeros(1, 3), torch.tensor([[[0.05, 0.0, 0.0]] * 2])
+    found = unroll(model, objects, tip, actions).translation_BTN3[0]
+    torch.nn.init.zeros_(model.graph.head.weight)
+    slid = unroll(model, objects, tip, actions).translation_BTN3[0]
+    assert (found[:, 1:].abs() < 1e-5).all()
+    assert float(slid[-1, 0].norm()) > 0.03
+    assert float((found - slid)[-1, 0].norm()) > 1e-3, "what slides is corrected"
+
+
+@torch.no_grad()
 def test_single_steps_begin_where_objects_truly_were() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model("contact", objects).train()

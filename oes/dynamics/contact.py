@@ -1,9 +1,9 @@
 """The model beyond the paper: surfaces that touch (completed from images), and what that does to them.
 
 Where objects are pushed, rigid bodies slide (``oes.dynamics.sliding``): the outlines of the completed surfaces, pushed
-by the rod and by each other. A graph network whose messages pass between points of those surfaces corrects that; where
-objects fall, it forecasts alone. Out of training, a forecast is the mean of several, of surfaces, masses and frictions
-as they might be: their spread tells how sure it is.
+by the rod and by each other. A graph network whose messages pass between points of those surfaces corrects the motion
+of what slides; where objects fall, it forecasts alone. Out of training, a forecast is the mean of several, of surfaces,
+masses and frictions as they might be: their spread tells how sure it is.
 """
 
 from typing import cast
@@ -21,6 +21,7 @@ from oes.objects import Objects
 
 PRIOR = 6  # numbers of the forecast that is corrected: displacement, turn, velocity
 SEED = 0
+STILL_M = 1e-6
 
 
 class Contact(Learned):
@@ -58,7 +59,7 @@ class Contact(Learned):
         return self.step(appearance_BNC, state, tip_world_B3, action_B3)
 
     def step(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
-        """What sliding gives, corrected by the graph network."""
+        """What sliding gives, corrected by the graph network; what does not slide stays, however many stand around."""
         shapes, unit_m = self._shapes(appearance_BNC), self.net.graph.unit_m
         prior, axes_B33 = self._slid(shapes, state, tip_world_B3, action_B3), action_axes(action_B3)
         assert prior.twist_BN3 is not None
@@ -69,7 +70,11 @@ class Contact(Learned):
         sight = Sight(torch.cat([sight.own_BNC, numbers_BNC], -1), sight.path_BNC, sight.pair_BNNC)
         up_BN3 = state.turned_BN33[..., 2]
         found = cast(Motion, self.graph(sight, state, up_BN3, tip_world_B3, action_B3))
-        return Motion(prior.dp_BN3 + found.dp_BN3, prior.spin_BN3 + found.spin_BN3, prior.twist_BN3)
+        if self.net.contact.physics is None:
+            return Motion(found.dp_BN3, found.spin_BN3, prior.twist_BN3)
+        slides_BN1 = prior.dp_BN3.norm(dim=-1, keepdim=True) > STILL_M
+        dp_BN3, spin_BN3 = (x_BN3 * slides_BN1 for x_BN3 in (found.dp_BN3, found.spin_BN3))
+        return Motion(prior.dp_BN3 + dp_BN3, prior.spin_BN3 + spin_BN3, prior.twist_BN3)
 
     @torch.no_grad()
     def _slid(self, shapes: Shapes, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
