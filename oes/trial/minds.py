@@ -24,7 +24,7 @@ from oes.video.overhead import Overhead, OverheadView
 from oes.video.planet import PlaNet, unroll_latent
 from oes.video.train import is_video_model, load_video_model
 
-MOST_STEPS = 2000
+MOST_STEPS = 600  # of a scene: a third to half a second of two cores, for one and two objects that slide
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class Mind(Protocol):
 
 @dataclass(frozen=True)
 class GraphMind:
-    """A graph network over the perceived objects. A model that draws futures is asked for several, but for plans so
-    many and so long that it would take more than ``MOST_STEPS`` steps of a scene; those get the one of what is seen."""
+    """A graph network over the perceived objects. A model that draws futures is asked for as many of each plan as
+    ``MOST_STEPS`` allows, the one of what is seen first."""
 
     model: Model
     view: None = None
@@ -62,10 +62,9 @@ class GraphMind:
         """Appearance is read once; every plan meets the same draws of it."""
         (samples, horizon, _), objects = proposals.actions_SH3.shape, belief.objects
         batched = Objects(**{name: value[None] for name, value in vars(objects).items()})
-        appearance_DNC = self.model.appearance(batched)
-        if samples * horizon * self.model.drawn <= MOST_STEPS:
-            appearance_DNC = self.model.redrawn(appearance_DNC)
-        draws = len(appearance_DNC)
+        draws = max(1, min(self.model.drawn, MOST_STEPS // (samples * horizon)))
+        appearance_1NC = self.model.appearance(batched)
+        appearance_DNC = self.model.redrawn(appearance_1NC)[:draws] if draws > 1 else appearance_1NC
         appearance_FNC = appearance_DNC.repeat_interleave(samples, 0)
         tip_F3, actions_FH3 = proposals.tip_S3.repeat(draws, 1), proposals.actions_SH3.repeat(draws, 1, 1)
         futures = draws * samples
