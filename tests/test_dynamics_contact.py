@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from oes.control.plan import Proposals
-from oes.dynamics.certainty import calibrated, lengths
+from oes.dynamics.certainty import LEAST_M, calibrated, lengths
 from oes.dynamics.contact import Contact
 from oes.dynamics.shapes import Doubt, shapes_of, unpacked
 from oes.dynamics.skin import SkinSight
@@ -118,6 +118,17 @@ def test_calibration_finds_the_law_that_errors_were_drawn_from() -> None:
     assert error_nll(error_TP, scale, found.tail).mean() < error_nll(error_TP, same, found.same_tail).mean()
     more = found.scale(torch.zeros(1, 5, 1))
     assert more[0, 3:, 0].tolist() == [pytest.approx(found.floor_T[-1])] * 2, "later steps count as the last"
+
+
+def test_what_rests_does_not_make_the_law_too_sure_of_what_moves() -> None:
+    rng = np.random.default_rng(0)
+    spread_TP = rng.gamma(2.0, 0.005, (3, 400)) * (np.arange(400) % 4 > 0)
+    error_TP = np.linalg.norm(rng.normal(size=(3, 400, 2)), axis=-1) * np.maximum(spread_TP, 1e-5)
+    found = calibrated(error_TP, spread_TP)
+    assert found.floor_T == pytest.approx([LEAST_M] * 3)
+    moved = spread_TP > 0
+    scale_TP = found.scale(torch.from_numpy(spread_TP)[None]).numpy()[0]
+    assert 0.85 < (error_TP < error_quantile(0.9, scale_TP, found.tail))[moved].mean() < 0.95
 
 
 def test_lengths_are_of_valid_objects_only() -> None:

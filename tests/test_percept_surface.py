@@ -14,7 +14,7 @@ from oes.measure import chamfer_mm, normal_deg
 from oes.percept.network import PerceptionNet
 from oes.percept.perceiver import Perceiver
 from oes.percept.shell import points_of
-from oes.percept.surface import ABOVE, BANDS, PRESENCE, RADIUS, SCALE, WHOLE, scaled
+from oes.percept.surface import ABOVE, BANDS, PRESENCE, RADIUS, SCALE, WHOLE, Surface, scaled
 from oes.percept.surface_train import SurfaceLessons, gather, train_surface, turned
 from tests.percept_scenes import CYLINDER, SIZES, BoxWorld, box_shells, box_solids, small_network
 
@@ -112,3 +112,8 @@ def test_training_the_head_brings_outlines_closer_and_changes_nothing_else(tmp_p
     (tmp_path / "again").mkdir()
     other = train_surface(seer(), world, box_shells(), LESSONS, (range(10), range(10, 12)), tmp_path / "again")
     assert other[-1]["loss"] == rows[-1]["loss"], "the same seed, the same lessons"
+
+
+def test_distances_that_cannot_be_halved_so_often_are_refused() -> None:
+    with pytest.raises(ValueError, match="multiple of 16 for 3 channels; found 24"):
+        Surface(cylinder=CYLINDER, channels=(8, 8, 8), width=16, column=16)

@@ -11,6 +11,7 @@ from oes.episode import Floats
 from oes.measure import error_nll
 
 MM = 1e-3
+LEAST_M = 3e-4  # of a scale: what rests settles by tenths of that, and a law made for it would be too sure of the rest
 START_TAIL, LEAST_TAIL = 2.0, 0.5
 
 
@@ -56,7 +57,7 @@ def _likeliest(error_TP: Floats, spread_TP: Floats, start: Floats) -> Floats:
         scale_TP = np.hypot(floor_T[:, None], gain * spread_TP)
         return float(np.mean(error_nll(error_TP / MM, scale_TP / MM, LEAST_TAIL + np.exp(x[-1]))))
 
-    bounds = [(np.log(1e-5), 0.0)] * steps + [(-5.0, 5.0), (-5.0, 5.0)]
+    bounds = [(np.log(LEAST_M), 0.0)] * steps + [(-5.0, 5.0), (-5.0, 5.0)]
     return np.asarray(minimize(cost, start, method="L-BFGS-B", bounds=bounds).x)
 
 

@@ -59,6 +59,15 @@ class Surface:
     width: int
     column: int
 
+    def __post_init__(self) -> None:
+        """Raises ValueError (a ParamsError when read from params.yaml) for distances that cannot be halved so often."""
+        step = FOLD << len(self.channels)
+        if self.cylinder.distances % step:
+            raise ValueError(
+                f"cylinder.distances must be a multiple of {step} for {len(self.channels)} channels; "
+                f"found {self.cylinder.distances}"
+            )
+
 
 @dataclass(frozen=True)
 class SurfaceOutput:
