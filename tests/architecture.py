@@ -17,7 +17,7 @@ from oes.stage import imports, reached
 
 # From the bottom up: a module or package of oes may import only those before it.
 ORDER = (
-    "config", "compiled", "precision", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint",
+    "config", "compiled", "precision", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "muon",
     "stage", "fit", "film", "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics",
     "video", "control", "overlap", "rollout", "score", "imagine", "trial", "evaluate", "demo", "browse", "view",
 )  # fmt: skip
@@ -36,6 +36,7 @@ OWNERS = {
         "precision",
         "weights",
         "checkpoint",
+        "muon",
         "fit",
         "percept",
         "dynamics",
