@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from oes.episode import Frames
+from oes.geom.se3 import transform
 from oes.geom.voxels import centers
 from oes.percept.lift import Lift, Views, lift, views_of
 from oes.percept.samples import STILL, Sampler, random_motion
@@ -64,8 +65,8 @@ def test_between_pixels_an_edge_stays_sharp() -> None:
     edge = Views(views.rgb_BVHW3, depth, views.K_BV33, views.world_T_cam_BV44)
     rays = torch.tensor([[middle + aside, 20.2, 1.0] for aside in (-1.1, -0.1, 0.1, 1.1)])
     points_cam = rays @ torch.linalg.inv(views.K_BV33[0, 0]).mT * 0.9
-    R, t = views.world_T_cam_BV44[0, 0, :3, :3], views.world_T_cam_BV44[0, 0, :3, 3]
-    found = lift(CFG, edge, views.rgb_BVHW3, (points_cam @ R.mT + t)[None], between_pixels=True)[0]
+    points_world = transform(views.world_T_cam_BV44[:, 0], points_cam[None])
+    found = lift(CFG, edge, views.rgb_BVHW3, points_world, between_pixels=True)[0]
     assert found[:, 3].tolist() == [1, 1, 0, 0]  # hidden behind the near side, in the open before the far one
     assert found[:, 2].tolist() == [0, 0, 1, 1]
 
