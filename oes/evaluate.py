@@ -93,7 +93,7 @@ def perceive(work: Path, perception: Path, cfg: Draws) -> ObjectStore:
         catalogue, perceiver = load_catalogue(work / "meshes"), Perceiver.load(perception, device)
         shells = Shells(catalogue, perceiver.net.cfg.surface.cylinder)
         solids = solids_of(catalogue, cfg.num_solid_points)
-        observer = Observer(cfg, perceiver, FrameSource(work / "episodes"), shells, solids)
+        observer = Observer(cfg, cfg.settings(TASK, SPLIT), perceiver, FrameSource(work / "episodes"), shells, solids)
         tensors, _, _ = perceive_all(observer, work / "progress")
         write_objects(path, tensors, list(observer.settings))
     return read_objects(path)

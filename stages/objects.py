@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 from oes.meshes.catalogue import load_catalogue
-from oes.percept.draws import Draws, Observer, perceive_all
+from oes.percept.draws import TRAIN, Draws, Observer, perceive_all
 from oes.percept.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
 from oes.percept.perceiver import Perceiver
 from oes.percept.shell import Shells
@@ -19,7 +19,7 @@ from oes.stage import publish, run, work_dir
 
 def main(cfg: Draws, task: str, split: str, meshes: Path, episodes: Path, perception: Path, out: Path) -> None:
     """Write ``objects.safetensors`` and, for test splits, ``detections.csv`` and ``views.csv`` to ``out``."""
-    is_train = split == "train"
+    is_train = split == TRAIN
     with work_dir(out, (cfg, task, split, [meshes, episodes, perception])) as work:
         progress = work / "progress"
         progress.mkdir(exist_ok=True)
@@ -28,7 +28,7 @@ def main(cfg: Draws, task: str, split: str, meshes: Path, episodes: Path, percep
         catalogue = load_catalogue(meshes)
         shells = Shells(catalogue, perceiver.net.cfg.surface.cylinder)
         solids = None if is_train else solids_of(catalogue, cfg.num_solid_points)
-        observer = Observer(cfg, perceiver, FrameSource(episodes), shells, solids)
+        observer = Observer(cfg, cfg.settings(task, split), perceiver, FrameSource(episodes), shells, solids)
         tensors, detections, views = perceive_all(observer, progress)
         write_objects(work / "objects.safetensors", tensors, list(observer.settings))
         if not is_train:

@@ -1,5 +1,6 @@
 """The objects file, and the stage's work that fills it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from oes.objects import Objects
-from oes.percept.draws import TEST_SETTINGS, Draws, Observer, perceive_all
+from oes.percept.draws import TEST_SETTINGS, TRAIN, Draws, Observer, perceive_all
 from oes.percept.network import PerceptionNet
 from oes.percept.perceiver import Perceiver
 from oes.percept.store import Draw, ObjectsError, joined, pack, read_objects, write_objects
@@ -22,6 +23,7 @@ CFG = Draws(
     center_jitter_m=0.01,
     size_jitter=0.1,
     train_draws={"train1": 2, "train2": 1, "train3": 0, "fixed": 1},
+    test_settings={"pushing": {"test1": ("1view_pred", "1view_gt")}},
     shard_episodes=2,
     num_solid_points=2048,
 )
@@ -49,7 +51,8 @@ def surfaces(count: int) -> tuple[Tensor, Tensor]:
 def observer(world: BoxWorld, *, is_train: bool) -> Observer:
     torch.manual_seed(0)
     seer = Perceiver(PerceptionNet(small_network()), torch.device("cpu"))
-    return Observer(CFG, seer, world, box_shells(), None if is_train else box_solids())
+    settings = CFG.settings("pushing", TRAIN if is_train else "test2")
+    return Observer(CFG, settings, seer, world, box_shells(), None if is_train else box_solids())
 
 
 def test_draws_come_back_as_written_even_those_without_objects(tmp_path: Path) -> None:
@@ -97,6 +100,25 @@ def test_training_draws_are_the_true_boxes_jittered_from_views_of_their_own() ->
         shift = draw.objects.center_N3.numpy() - true
         assert 0 < np.abs(shift).max() < 0.05 and draw.gt_N.tolist() == list(range(len(true)))
     assert detections == [] and predictions == []
+
+
+def test_a_split_is_seen_under_the_settings_asked_for_and_as_with_all(tmp_path: Path) -> None:
+    world, every = BoxWorld(1), observer(BoxWorld(1), is_train=False)
+    few = replace(every, settings=CFG.settings("pushing", "test1"))
+    assert list(CFG.settings("falling", "test1")) == list(TEST_SETTINGS)
+    draws, detections, _ = few.episode(0)
+    assert [draw.setting for draw in draws] == ["1view_gt", "1view_pred"]
+    of_all = {draw.setting: draw for draw in every.episode(0)[0]}
+    for draw in draws:
+        assert draw.views == of_all[draw.setting].views
+        assert torch.equal(draw.objects.outline_NRK3, of_all[draw.setting].objects.outline_NRK3)
+    assert {row["num_views"] for row in detections} == {1}
+    tensors, _, _ = perceive_all(replace(few, source=world), tmp_path)
+    write_objects(tmp_path / "o.safetensors", tensors, list(few.settings))
+    with pytest.raises(ObjectsError, match="there are: 1view_gt, 1view_pred"):
+        read_objects(tmp_path / "o.safetensors").draws("3views_gt")
+    with pytest.raises(ValueError, match=r"test_settings.pushing.test1: unknown 9views; there are: 3views_gt"):
+        replace(CFG, test_settings={"pushing": {"test1": ("9views",)}})
 
 
 def test_at_test_views_are_nested_and_every_object_is_accounted_for() -> None:

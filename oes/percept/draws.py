@@ -28,6 +28,7 @@ from oes.percept.store import Draw, joined, pack
 from oes.percept.surface import base
 from oes.weights import write_tensors
 
+TRAIN = "train"
 FIXED, TRUE, JITTERED, FOUND = "fixed", "true", "jittered", "found"
 SCORED_VIEWS = (1, 3)
 
@@ -62,7 +63,8 @@ class Draws:
     """The section ``objects`` of params.yaml.
 
     ``fixed_camera``: index of the camera of the fixed-view settings. Jitters are standard deviations of the true boxes
-    at training; ``train_draws``: how many sets of views an episode gets under each training setting.
+    at training; ``train_draws``: how many sets of views an episode gets under each training setting; ``test_settings``:
+    those of a task's test splits (all, for a split that is not named).
     ``num_workers`` processes (-1: one a core) share the work, ``shard_episodes`` at a time; on a GPU one does it all.
     """
 
@@ -72,6 +74,7 @@ class Draws:
     center_jitter_m: float
     size_jitter: float
     train_draws: dict[str, int]
+    test_settings: dict[str, dict[str, tuple[str, ...]]]
     shard_episodes: int
     num_solid_points: int
 
@@ -81,22 +84,33 @@ class Draws:
             raise ValueError(
                 f"train_draws: expected exactly {', '.join(TRAIN_SETTINGS)}; found {dict(self.train_draws)}"
             )
+        for task, splits in self.test_settings.items():
+            for split, names in splits.items():
+                if unknown := set(names) - set(TEST_SETTINGS):
+                    raise ValueError(
+                        f"test_settings.{task}.{split}: unknown {', '.join(sorted(unknown))}; "
+                        f"there are: {', '.join(TEST_SETTINGS)}"
+                    )
+
+    def settings(self, task: str, split: str) -> dict[str, Setting]:
+        """Those of a split, in their order."""
+        if split == TRAIN:
+            return TRAIN_SETTINGS
+        asked = self.test_settings.get(task, {}).get(split, tuple(TEST_SETTINGS))
+        return {name: setting for name, setting in TEST_SETTINGS.items() if name in asked}
 
 
 @dataclass(frozen=True)
 class Observer:
-    """Perceives the episodes of one split; ``solids`` scores the masks of a test split, None for training."""
+    """Perceives the episodes of one split under ``settings``; ``solids`` scores the masks of a test split, None for
+    training."""
 
     cfg: Draws
+    settings: dict[str, Setting]
     perceiver: Perceiver
     source: Source
     shells: Shells
     solids: Solids | None
-
-    @property
-    def settings(self) -> dict[str, Setting]:
-        """Those of training or of testing."""
-        return TRAIN_SETTINGS if self.solids is None else TEST_SETTINGS
 
     def episode(self, episode_i: int) -> tuple[list[Draw], list[Row], list[Row]]:
         """Draws of one episode and, at test, the rows of detections.csv and views.csv."""
@@ -142,15 +156,15 @@ class Observer:
             left = list(order)
             for name, count in self.cfg.train_draws.items():
                 for _ in range(count):
-                    views = self._views(TRAIN_SETTINGS[name], left)
+                    views = self._views(self.settings[name], left)
                     left = [*left[len(views) :], *views]
                     yield views, [name]
             return
         shared: dict[int | str, list[str]] = {}
-        for name, setting in TEST_SETTINGS.items():
+        for name, setting in self.settings.items():
             shared.setdefault(setting.views, []).append(name)
         for names in shared.values():
-            yield self._views(TEST_SETTINGS[names[0]], order), names
+            yield self._views(self.settings[names[0]], order), names
 
     def _views(self, setting: Setting, order: Sequence[int]) -> list[int]:
         return list(order[: setting.views]) if isinstance(setting.views, int) else [self.cfg.fixed_camera]
