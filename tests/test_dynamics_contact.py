@@ -9,7 +9,7 @@ import torch
 from oes.control.plan import Proposals
 from oes.dynamics.certainty import LEAST_M, calibrated, lengths
 from oes.dynamics.contact import Contact
-from oes.dynamics.shapes import Doubt, shapes_of, unpacked
+from oes.dynamics.shapes import BANDS, FOOT, Doubt, shapes_of, unpacked
 from oes.dynamics.skin import SkinSight
 from oes.dynamics.unroll import at_rest, future_from, single_steps, unroll
 from oes.measure import error_nll, error_quantile
@@ -22,12 +22,21 @@ DOUBT = Doubt(draws=400, outline=1.0, waves=3, mass_m=0.002, log_mass=0.1, log_f
 
 def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_there() -> None:
     objects = make_objects()
-    objects.outline_NRK3[0, 0, 3, :, 2] = 0.2
+    objects.outline_NRK3[0, 0, 3, :, 2] = 0.05
     shapes = shapes_of(objects)
     again = unpacked(shapes.packed(), SEEN.outline_rows, SEEN.outline_directions)
     for name, value in vars(shapes).items():
         assert torch.equal(getattr(again, name), value), name
     assert (shapes.radius_BNRK[0, 0, 3] == 0).all() and (shapes.radius_BNRK[0, 1] > 0).all()
+
+
+def test_objects_stand_on_their_foot_or_where_none_is_seen_on_their_lowest_band() -> None:
+    objects = make_objects(scenes=1, num=2)
+    objects.outline_NRK3[:, :, FOOT, :, 0], objects.outline_NRK3[:, :, BANDS, :, 0] = 0.02, 0.03
+    objects.outline_NRK3[:, 1, FOOT, :, 2] = 0.05
+    bodies = shapes_of(objects).bodies(objects.valid_N, 0.02)
+    away_BNM = (bodies.feet_BNM2 + bodies.mass_BN2[:, :, None]).norm(dim=-1)
+    torch.testing.assert_close(away_BNM, torch.tensor([0.02, 0.03])[None, :, None].expand(away_BNM.shape))
 
 
 def test_draws_begin_with_the_objects_as_they_seem_and_vary_as_much_as_is_said() -> None:
@@ -142,11 +151,11 @@ def test_points_know_how_far_they_are_above_and_below_another_object() -> None:
     """Two discs 50 mm high (bands of 20 mm, the third half full), one 30 mm above the other and aside by 20 mm."""
     objects = make_objects(scenes=1, num=2)
     outline = torch.zeros(1, 2, SEEN.outline_rows, SEEN.outline_directions, 3)
-    outline[:, :, :5] = torch.tensor([0.03, 0.001, 1.0])
+    outline[:, :, :6] = torch.tensor([0.03, 0.001, 1.0])
     size = torch.tensor([0.06, 0.06, 0.05]).expand(1, 2, 3)
     center = torch.tensor([[[0.0, 0.0, 0.025], [0.02, 0.0, 0.105]]])
     objects = replace(objects, center_N3=center, size_N3=size, outline_NRK3=outline)
-    sight = SkinSight(replace(NET.contact.skin, rows=(2, 3, 4)), NET.graph.unit_m)
+    sight = SkinSight(replace(NET.contact.skin, rows=(3, 4, 5)), NET.graph.unit_m)
     state, shapes = at_rest(center, objects.valid_N), shapes_of(objects)
     first_BNP3, _, _, there_BNP = sight._points(shapes, torch.eye(3)[None], state.turned_BN33)
     assert (there_BNP == 1).all()

@@ -45,7 +45,7 @@ NET = Net(
 FALLING, SURFACES_FALLING = "oes falling", "contact falling"  # the same models, reading what falls ask for
 LEARNED = [*(word for word, kind in MODELS.items() if issubclass(kind, Learned)), FALLING, SURFACES_FALLING]
 FORECASTERS = [*(word for word, kind in MODELS.items() if issubclass(kind, Model)), FALLING, SURFACES_FALLING]
-SEEN = Seen(crop_channels=2, crop_side=16, voxel_m=0.01, image_side_px=32, outline_rows=6, outline_directions=32)
+SEEN = Seen(crop_channels=2, crop_side=16, voxel_m=0.01, image_side_px=32, outline_rows=7, outline_directions=32)
 VIEWS = 2
 ZERO = torch.zeros(3, 3, 3)
 
@@ -70,9 +70,8 @@ def make_outlines(scenes: int, num: int, g: torch.Generator) -> Tensor:
     """Ellipses 3 to 4 cm in radius at every height."""
     angle_K = torch.arange(32) * (2 * torch.pi / 32)
     waist = torch.rand(scenes, num, 1, 1, generator=g) * 0.01
-    radius = (0.03 + waist * (angle_K + torch.rand(scenes, num, 1, 1, generator=g)).cos().square()).expand(
-        -1, -1, 6, 32
-    )
+    radius = 0.03 + waist * (angle_K + torch.rand(scenes, num, 1, 1, generator=g)).cos().square()
+    radius = radius.expand(-1, -1, SEEN.outline_rows, -1)
     return torch.stack([radius, torch.full_like(radius, 0.002), torch.ones_like(radius)], -1)
 
 
@@ -86,7 +85,7 @@ def make_actions(scenes: int = 3, steps: int = 5) -> tuple[Tensor, Tensor]:
 def make_model(word: str, objects: Objects) -> Model:
     torch.manual_seed(1)
     kind = MODELS[word.removesuffix(" falling")]
-    falling = replace(NET.contact, skin=replace(NET.contact.skin, rows=(2, 3)), physics=None)
+    falling = replace(NET.contact, skin=replace(NET.contact.skin, rows=(3, 4)), physics=None)
     is_falling = word in (FALLING, SURFACES_FALLING)
     net = replace(NET, crop=replace(NET.crop, sight="relief"), contact=falling) if is_falling else NET
     model = kind(net, SEEN) if issubclass(kind, Learned) else kind()

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from oes.geom.boxes import hull, iou
+from oes.geom.boxes import base, hull, iou
 from oes.geom.camera import intrinsics, look_at, project, unproject
 from oes.geom.se3 import from_quat_xyzw, inverse, quat_xyzw, rigid, rotation_z, transform
 
@@ -61,6 +61,12 @@ def test_project_undoes_unproject_at_every_pixel_centre() -> None:
     v, u = np.meshgrid(np.arange(12) + 0.5, np.arange(16) + 0.5, indexing="ij")
     np.testing.assert_allclose(uv, np.stack([u, v], axis=-1).reshape(-1, 2), atol=1e-9)
     np.testing.assert_allclose(z, depth.flatten().numpy(), atol=1e-12)
+
+
+def test_what_seems_to_begin_near_the_table_stands_on_it() -> None:
+    center, size = torch.tensor([[0.0, 0.0, 0.03]]).repeat(4, 1), torch.zeros(4, 3)
+    size[:, 2] = torch.tensor([0.07, 0.06, 0.04, 0.03])
+    torch.testing.assert_close(base(center, size), torch.tensor([0.0, 0.0, 0.0, 0.015]))
 
 
 def test_hull_and_iou_match_hand_computed_boxes() -> None:

@@ -1,20 +1,24 @@
 """The surface head, the true outlines that it learns, and what an outline stands for."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from oes.checkpoint import Fit
 from oes.episode import Body
 from oes.geom.polar import directions
 from oes.geom.se3 import rigid, rotation_z
 from oes.measure import chamfer_mm, normal_deg
+from oes.meshes.catalogue import Mesh
 from oes.percept.network import PerceptionNet
 from oes.percept.perceiver import Perceiver
 from oes.percept.shell import points_of
-from oes.percept.surface import ABOVE, BANDS, PRESENCE, RADIUS, SCALE, WHOLE, Surface, scaled
+from oes.percept.surface import ABOVE, BANDS, FOOT, PRESENCE, RADIUS, SCALE, WHOLE, Surface, scaled
 from oes.percept.surface_train import SurfaceLessons, gather, train_surface, turned
 from tests.percept_scenes import CYLINDER, SIZES, BoxWorld, box_shells, box_solids, small_network
 
@@ -57,9 +61,23 @@ def test_true_outlines_are_those_of_the_turned_box_band_by_band(turn: float) -> 
     found = brick_outline(turn)
     side_K2 = directions(CYLINDER.directions).double().numpy() @ rotation_z(turn)[:2, :2]
     box = (np.array(SIZES["brick"][:2]) / 2 / np.abs(side_K2).clip(1e-9)).min(-1)
-    for row in (WHOLE, ABOVE, BANDS, BANDS + 1, BANDS + 2):  # bands of 20 mm; a brick is 60 mm high
+    for row in (WHOLE, ABOVE, FOOT, BANDS, BANDS + 1, BANDS + 2):  # bands of 20 mm; a brick is 60 mm high
         assert found[row] == pytest.approx(box, abs=1e-4), row
     assert (found[BANDS + 3] == 0).all()
+
+
+def test_what_widens_upwards_stands_on_less_than_its_lowest_band() -> None:
+    """A cup of 20 mm radius below, 50 mm above; its box is told 4 mm too low, and the foot is still the cup's own."""
+    rings = [
+        np.pad(r * directions(64).numpy(), ((0, 0), (0, 1)), constant_values=z)
+        for r, z in ((0.02, -0.03), (0.05, 0.03))
+    ]
+    shells = box_shells()
+    cup = SimpleNamespace(visual=trimesh.convex.convex_hull(np.concatenate(rings)), com_obj_3=np.zeros(3))
+    shells.catalogue.meshes["brick"] = cast(Mesh, cup)
+    found = shells.outline(BRICK, rigid(np.eye(3), np.array([0.0, 0.0, 0.03])), np.array([0.0, 0.0, -0.004]))
+    assert found[FOOT] == pytest.approx(0.02, abs=1e-3)
+    assert found[BANDS].min() > 0.025
 
 
 def test_an_outline_stands_for_the_surface_of_its_object() -> None:

@@ -8,11 +8,12 @@ from torch import Tensor
 
 from oes.config import params
 from oes.dynamics.bodies import Bodies
+from oes.geom.boxes import base
 from oes.geom.polar import directions
 from oes.objects import Objects
 
-WHOLE, ABOVE, BANDS = 0, 1, 2  # rows of an outline, as perception orders them (``oes.percept.surface``)
-THERE = 0.5
+WHOLE, ABOVE, FOOT, BANDS = range(4)  # rows of an outline, as perception orders them (``oes.percept.surface``)
+THERE = 0.1  # what may be there is: through what is wrongly left out, a rod passes and an object falls over
 SECTORS = 16
 LEAST_GYRATION_M = 0.01
 LEAST_HEIGHT_M = 0.003
@@ -96,11 +97,13 @@ class Shapes:
         )
 
     def _feet(self) -> Tensor:
-        """The farthest point of the lowest band in each of some sectors, BNM2, from the centre of mass."""
-        lowest_BNSK = self.radius_BNRK[:, :, BANDS].reshape(*self.heavy_BN.shape, SECTORS, -1)
-        far_BNS, k_BNS = lowest_BNSK.max(-1)
-        first_S = torch.arange(SECTORS) * lowest_BNSK.shape[-1]
-        side_BNS2 = directions(self.radius_BNRK.shape[-1])[k_BNS + first_S]
+        """The farthest point of the foot (the lowest band, where none is seen) in each of some sectors, BNM2, from the
+        centre of mass."""
+        foot_BNK, lowest_BNK = self.radius_BNRK[:, :, FOOT], self.radius_BNRK[:, :, BANDS]
+        foot_BNK = torch.where((foot_BNK > 0).any(-1, keepdim=True), foot_BNK, lowest_BNK)
+        far_BNS, k_BNS = foot_BNK.reshape(*foot_BNK.shape[:-1], SECTORS, -1).max(-1)
+        first_S = torch.arange(SECTORS) * (foot_BNK.shape[-1] // SECTORS)
+        side_BNS2 = directions(foot_BNK.shape[-1])[k_BNS + first_S]
         feet_BNS2: Tensor = side_BNS2 * far_BNS[..., None] - self.mass_BN3[..., None, :2]
         return feet_BNS2
 
@@ -135,7 +138,7 @@ def shapes_of(objects: Objects) -> Shapes:
     radius, scale, presence = objects.outline_NRK3.unbind(-1)
     height_BN, tall_BN = objects.center_N3[..., 2], objects.size_N3[..., 2]
     usual_BN = torch.ones_like(height_BN)
-    foot_BN = (tall_BN / 2).minimum(height_BN)  # as perception puts it: never below the table
+    foot_BN = height_BN - base(objects.center_N3, objects.size_N3)
     seen = radius * (presence > THERE), scale, presence
     return Shapes(*seen, objects.mass_N3, usual_BN, usual_BN, foot_BN, tall_BN)
 

@@ -7,6 +7,8 @@ from torch import Tensor
 from oes.episode import Floats
 from oes.geom.se3 import Array
 
+STANDS_M = 0.012  # more than boxes err by, less than anything is tall that something else could stand on
+
 
 def hull(points_P3: Floats) -> tuple[Floats, Floats]:
     """Centre and size of the smallest axis-aligned box around points ...P3."""
@@ -22,3 +24,10 @@ def iou(center_a: Array, size_a: Array, center_b: Array, size_b: Array) -> Array
     shared = (high - low).clip(0).prod(-1)
     overlap: Array = shared / (size_a.prod(-1) + size_b.prod(-1) - shared).clip(1e-12)
     return overlap
+
+
+def base(center_3: Tensor, size_3: Tensor) -> Tensor:
+    """Heights ... of the bottoms of boxes over a table at z = 0: what seems to begin less than ``STANDS_M`` above it,
+    or below it, stands on it."""
+    low = center_3[..., 2] - size_3[..., 2] / 2
+    return torch.where(low < STANDS_M, 0, low)

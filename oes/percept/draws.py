@@ -17,6 +17,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from oes.config import params
+from oes.geom.boxes import base
 from oes.objects import Objects
 from oes.percept.evaluate import Row, detection_rows, match, truth_of, view_row
 from oes.percept.network import Scene
@@ -25,7 +26,6 @@ from oes.percept.samples import Source
 from oes.percept.shell import Shells
 from oes.percept.solids import Solids
 from oes.percept.store import Draw, joined, pack
-from oes.percept.surface import base
 from oes.weights import write_tensors
 
 TRAIN = "train"

@@ -11,14 +11,13 @@ from torch import Tensor
 from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from oes.episode import Camera, Episode, Floats, Frames
-from oes.geom.boxes import iou
+from oes.geom.boxes import base, iou
 from oes.geom.voxels import Grid, voxelize
 from oes.measure import Boxes, average_precision, chamfer_mm, normal_deg
 from oes.percept.network import Scene
 from oes.percept.perceiver import Perceiver
 from oes.percept.shell import points_of
 from oes.percept.solids import Solids
-from oes.percept.surface import base
 
 MATCH_M = 0.06
 Row = dict[str, float | None]

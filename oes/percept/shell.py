@@ -14,6 +14,7 @@ from oes.meshes.catalogue import Catalogue
 from oes.percept.surface import BANDS, PRESENCE, RADIUS, Cylinder
 
 RAYS_A_BAND = 4
+FOOT_RAYS_M = (0.0005, 0.0015)  # how far above its lowest point an object is taken to stand on the table
 PAST = 1.3  # rays start so much beyond the cylinder
 THERE = 0.5
 
@@ -42,20 +43,23 @@ class Shells:
         """Radii RK of one body."""
         cylinder, mesh = self.cylinder, self.catalogue.meshes[body.mesh].visual
         side_K2 = directions(cylinder.directions).double().numpy()
+        R, t = world_T_obj_44[:3, :3], world_T_obj_44[:3, 3]
+        lowest_m = (mesh.vertices * body.scale_3 @ R[2]).min() + t[2] - foot_3[2]
         height_H = (np.arange(cylinder.bands * RAYS_A_BAND) + 0.5) * cylinder.band_m / RAYS_A_BAND
+        height_H = np.concatenate([lowest_m + np.array(FOOT_RAYS_M), height_H])
         start_m = cylinder.reach_m * PAST
         start_HK3 = np.zeros((len(height_H), len(side_K2), 3))
         start_HK3[..., :2] = side_K2 * start_m
         start_HK3[..., 2] = height_H[:, None]
         inward_HK3 = np.broadcast_to(np.append(-side_K2, np.zeros((len(side_K2), 1)), 1), start_HK3.shape)
-        R, t = world_T_obj_44[:3, :3], world_T_obj_44[:3, 3]
         start_obj = (start_HK3 + foot_3 - t) @ R / body.scale_3
         inward_obj = inward_HK3 @ R / body.scale_3
         radius_HK = start_m - _first_hits(mesh, start_obj.reshape(-1, 3), inward_obj.reshape(-1, 3)).reshape(
             len(height_H), -1
         )
-        radius_BK = np.clip(radius_HK, 0, cylinder.reach_m).reshape(cylinder.bands, RAYS_A_BAND, -1).max(1)
-        return np.stack([radius_BK.max(0), radius_BK[1:].max(0), *radius_BK])
+        foot_FK, side_HK = np.split(np.clip(radius_HK, 0, cylinder.reach_m), [len(FOOT_RAYS_M)])
+        radius_BK = side_HK.reshape(cylinder.bands, RAYS_A_BAND, -1).max(1)
+        return np.stack([radius_BK.max(0), radius_BK[1:].max(0), foot_FK.max(0), *radius_BK])
 
     def _mass(self, body: Body, world_T_obj_44: Floats) -> Floats:
         com_3 = self.catalogue.meshes[body.mesh].com_obj_3 * body.scale_3

@@ -14,10 +14,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from oes.config import params
+from oes.geom.boxes import base
 from oes.geom.polar import directions
 from oes.geom.voxels import Grid, sample
 
-WHOLE, ABOVE, BANDS = 0, 1, 2  # rows of an outline: of all bands; of all but the lowest; then the bands, upwards
+WHOLE, ABOVE, FOOT, BANDS = range(4)  # rows of an outline: of all bands; of all but the lowest; of what the object
+# stands on; then the bands, upwards
 RADIUS, SCALE, PRESENCE = 0, 1, 2  # what is known of it in each direction
 NUM_BOX = 3  # channels beside the lifted ones: mask, distance from the axis over the box's size, height over the box's
 FOLD = 2  # so many neighbouring distances become channels of one at once
@@ -40,7 +42,7 @@ class Cylinder:
 
     @property
     def rows(self) -> int:
-        """How many outlines: ``WHOLE``, ``ABOVE`` and each band."""
+        """How many outlines: ``WHOLE``, ``ABOVE``, ``FOOT`` and each band."""
         return BANDS + self.bands
 
     @property
@@ -205,8 +207,3 @@ def scaled(outline_RK3: Tensor, factor: float) -> Tensor:
     grown = torch.ones(bands_BK3.shape[-1])
     grown[[RADIUS, SCALE]] = factor
     return torch.cat([outline_RK3[:BANDS], bands_BK3]) * grown
-
-
-def base(centers_P3: Tensor, sizes_P3: Tensor) -> Tensor:
-    """Heights P of the bottoms of boxes; never below the table."""
-    return (centers_P3[..., 2] - sizes_P3[..., 2] / 2).clamp(min=0)

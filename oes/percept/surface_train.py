@@ -14,14 +14,15 @@ from oes.checkpoint import Fit, Row
 from oes.config import params
 from oes.episode import Floats
 from oes.fit import fit
+from oes.geom.boxes import base
 from oes.geom.polar import directions
 from oes.percept.perceiver import Perceiver
 from oes.percept.samples import Motion, Source, moved_views
 from oes.percept.shell import Shells
-from oes.percept.surface import ABOVE, BANDS, WHOLE, SurfaceHead, base
+from oes.percept.surface import BANDS, FOOT, WHOLE, SurfaceHead
 
 MM_10 = 0.01
-LEAD = 4.0  # how much more the outlines of all bands together count than each band's
+LEAD = 4.0  # how much more the outlines of all bands together, and of the foot, count than each band's
 TERMS = ("radius", "presence", "mass")
 
 
@@ -160,7 +161,7 @@ def surface_losses(net: SurfaceHead, lessons: Lessons) -> dict[str, Tensor]:
     found = net(lessons.inputs_PCKL)
     there_PRK = (lessons.radius_PRK > 0).float()
     rows_R1 = torch.ones(there_PRK.shape[1], 1, device=there_PRK.device)
-    rows_R1[[WHOLE, ABOVE]] = LEAD
+    rows_R1[:BANDS] = LEAD
     weight_PRK = there_PRK * rows_R1
     apart_PRK = (found.radius_PRK - lessons.radius_PRK).abs() / found.scale_PRK + (found.scale_PRK / MM_10).log()
     presence = F.binary_cross_entropy_with_logits(found.presence_PRK, there_PRK)
@@ -173,17 +174,17 @@ def surface_losses(net: SurfaceHead, lessons: Lessons) -> dict[str, Tensor]:
 
 @torch.no_grad()
 def surface_figures(net: SurfaceHead, lessons: Lessons) -> dict[str, float]:
-    """Mean errors on objects not trained on: of the whole outline and of the bands (mm), of presence (share wrong), of
-    the centre of mass (mm)."""
+    """Mean errors on objects not trained on: of the whole outline, the foot and the bands (mm), of presence (share
+    wrong), of the centre of mass (mm)."""
     parts = [net(lessons.inputs_PCKL[i : i + 64]) for i in range(0, len(lessons.mass_P3), 64)]
     radius_PRK = torch.cat([part.radius_PRK for part in parts])
     presence_PRK = torch.cat([part.presence_PRK for part in parts])
     mass_P3 = torch.cat([part.mass_P3 for part in parts])
     there_PRK = lessons.radius_PRK > 0
     apart_PRK = (radius_PRK - lessons.radius_PRK).abs() * 1e3
+    rows = {"outline": slice(WHOLE, WHOLE + 1), "foot": slice(FOOT, FOOT + 1), "band": slice(BANDS, None)}
     return {
-        "val_outline_mm": float(apart_PRK[:, WHOLE][there_PRK[:, WHOLE]].mean()),
-        "val_band_mm": float(apart_PRK[:, BANDS:][there_PRK[:, BANDS:]].mean()),
+        **{f"val_{name}_mm": float(apart_PRK[:, row][there_PRK[:, row]].mean()) for name, row in rows.items()},
         "val_presence": float(((presence_PRK > 0) != there_PRK).float().mean()),
         "val_mass_mm": float((mass_P3 - lessons.mass_P3).norm(dim=-1).mean()) * 1e3,
     }
