@@ -23,7 +23,7 @@ NOWHERE_M = 1e3
 @params
 class Skin:
     """Which points are read: every so many directions of ``rows`` (rows of an outline: 0 of all heights, 1 of all but
-    the lowest, then bands of ``band_m``, upwards), and the width of the networks that read them."""
+    the lowest, 2 of the foot, then bands of ``band_m``, upwards), and the width of the networks that read them."""
 
     every: int
     rows: tuple[int, ...]
