@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+# rows of an outline: of all bands; of all but the lowest; of what the object stands on; then the bands, upwards
+WHOLE, ABOVE, FOOT, BANDS = range(4)
+
 
 @dataclass(frozen=True)
 class Objects:

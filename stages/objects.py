@@ -5,8 +5,8 @@ from pathlib import Path
 
 import torch
 
-from oes.meshes.catalogue import load_catalogue
-from oes.percept.draws import TRAIN, Draws, Observer, perceive_all
+from oes.meshes.catalogue import TRAIN, load_catalogue
+from oes.percept.draws import Draws, Observer, perceive_all
 from oes.percept.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
 from oes.percept.perceiver import Perceiver
 from oes.percept.shell import Shells

@@ -9,11 +9,11 @@ import torch
 from oes.control.plan import Proposals
 from oes.dynamics.certainty import LEAST_M, calibrated, lengths
 from oes.dynamics.contact import Contact
-from oes.dynamics.shapes import BANDS, FOOT, Doubt, shapes_of, unpacked
+from oes.dynamics.shapes import Doubt, shapes_of, unpacked
 from oes.dynamics.skin import SkinSight
 from oes.dynamics.unroll import at_rest, future_from, single_steps, unroll
 from oes.measure import error_nll, error_quantile
-from oes.objects import Objects
+from oes.objects import BANDS, FOOT, Objects
 from oes.trial.minds import MOST_STEPS, Belief, GraphMind
 from tests.test_dynamics_models import NET, SEEN, make_actions, make_model, make_objects
 

@@ -9,8 +9,9 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
+from oes.meshes.catalogue import TRAIN
 from oes.objects import Objects
-from oes.percept.draws import TEST_SETTINGS, TRAIN, Draws, Observer, perceive_all
+from oes.percept.draws import TEST_SETTINGS, Draws, Observer, perceive_all
 from oes.percept.network import PerceptionNet
 from oes.percept.perceiver import Perceiver
 from oes.percept.store import Draw, ObjectsError, joined, pack, read_objects, write_objects

@@ -15,10 +15,11 @@ from oes.geom.polar import directions
 from oes.geom.se3 import rigid, rotation_z
 from oes.measure import chamfer_mm, normal_deg
 from oes.meshes.catalogue import Mesh
+from oes.objects import ABOVE, BANDS, FOOT, WHOLE
 from oes.percept.network import PerceptionNet
 from oes.percept.perceiver import Perceiver
 from oes.percept.shell import points_of
-from oes.percept.surface import ABOVE, BANDS, FOOT, PRESENCE, RADIUS, SCALE, WHOLE, Surface, scaled
+from oes.percept.surface import PRESENCE, RADIUS, SCALE, Surface, scaled
 from oes.percept.surface_train import SurfaceLessons, gather, train_surface, turned
 from tests.percept_scenes import CYLINDER, SIZES, BoxWorld, box_shells, box_solids, small_network
 

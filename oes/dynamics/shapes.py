@@ -10,9 +10,8 @@ from oes.config import params
 from oes.dynamics.bodies import Bodies
 from oes.geom.boxes import base
 from oes.geom.polar import directions
-from oes.objects import Objects
+from oes.objects import ABOVE, BANDS, FOOT, WHOLE, Objects
 
-WHOLE, ABOVE, FOOT, BANDS = range(4)  # rows of an outline, as perception orders them (``oes.percept.surface``)
 THERE = 0.1  # what may be there is: through what is wrongly left out, a rod passes and an object falls over
 SECTORS = 16
 LEAST_GYRATION_M = 0.01

@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from oes.config import params
 from oes.dynamics.bodies import Physics
 from oes.dynamics.graph import ObjectState, Sight, action_axes, mlp, others
-from oes.dynamics.shapes import BANDS, Doubt, Shapes
+from oes.dynamics.shapes import Doubt, Shapes
 from oes.geom.polar import directions, normals, radius_in
+from oes.objects import BANDS
 
 OWN, PATH, PAIR = 9, 4, 6  # numbers a point knows: of itself, of the rod's path, of another object
 GAPS = 2  # and how far it is above and below that

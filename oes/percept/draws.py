@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from oes.config import params
 from oes.geom.boxes import base
+from oes.meshes.catalogue import TRAIN
 from oes.objects import Objects
 from oes.percept.evaluate import Row, detection_rows, match, truth_of, view_row
 from oes.percept.network import Scene
@@ -28,7 +29,6 @@ from oes.percept.solids import Solids
 from oes.percept.store import Draw, joined, pack
 from oes.weights import write_tensors
 
-TRAIN = "train"
 FIXED, TRUE, JITTERED, FOUND = "fixed", "true", "jittered", "found"
 SCORED_VIEWS = (1, 3)
 

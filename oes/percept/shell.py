@@ -11,7 +11,8 @@ from torch import Tensor
 from oes.episode import Body, Episode, Floats
 from oes.geom.polar import directions, normals
 from oes.meshes.catalogue import Catalogue
-from oes.percept.surface import BANDS, PRESENCE, RADIUS, Cylinder
+from oes.objects import BANDS
+from oes.percept.surface import PRESENCE, RADIUS, Cylinder
 
 RAYS_A_BAND = 4
 FOOT_RAYS_M = (0.0005, 0.0015)  # how far above its lowest point an object is taken to stand on the table

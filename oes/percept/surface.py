@@ -17,9 +17,8 @@ from oes.config import params
 from oes.geom.boxes import base
 from oes.geom.polar import directions
 from oes.geom.voxels import Grid, sample
+from oes.objects import BANDS
 
-# rows of an outline: of all bands; of all but the lowest; of what the object stands on; then the bands, upwards
-WHOLE, ABOVE, FOOT, BANDS = range(4)
 RADIUS, SCALE, PRESENCE = 0, 1, 2  # what is known of it in each direction
 NUM_BOX = 3  # channels beside the lifted ones: mask, distance from the axis over the box's size, height over the box's
 FOLD = 2  # so many neighbouring distances become channels of one at once

@@ -16,10 +16,11 @@ from oes.episode import Floats
 from oes.fit import fit
 from oes.geom.boxes import base
 from oes.geom.polar import directions
+from oes.objects import BANDS, FOOT, WHOLE
 from oes.percept.perceiver import Perceiver
 from oes.percept.samples import Motion, Source, moved_views
 from oes.percept.shell import Shells
-from oes.percept.surface import BANDS, FOOT, WHOLE, SurfaceHead
+from oes.percept.surface import SurfaceHead
 
 MM_10 = 0.01
 LEAD = 4.0  # how much more the outlines of all bands together, and of the foot, count than each band's
