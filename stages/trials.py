@@ -1,5 +1,6 @@
 """trials: objects pushed to targets by model predictive control; one row a trial, with films of some."""
 
+import shutil
 from pathlib import Path
 
 from oes.rows import write_csv
@@ -12,9 +13,11 @@ def main(cfg: Trials, scenario: str, model: str, meshes: Path, perception: Path,
     """Write trials.csv and the videos. ``dynamics`` is the folder of ``model``'s weights."""
     inputs = Inputs(meshes, perception / "perception.safetensors", dynamics)
     with work_dir(out, (cfg, scenario, model, [meshes, perception, dynamics])) as work:
-        found = run_trials(cfg, scenario, inputs)
+        progress = work / "progress"
+        found = run_trials(cfg, scenario, inputs, progress)
         videos = write_videos(found, cfg.scenarios[scenario], cfg.film, cfg.num_videos, work)
         write_csv(work / "trials.csv", trial_rows(found, scenario, model, cfg.scenarios[scenario], videos), ROWS)
+        shutil.rmtree(progress)
         publish(work, out)
 
 

@@ -10,6 +10,7 @@ import pytest
 from oes.config import load
 from oes.report.rows import TRIALS, read_columns
 from oes.rows import write_csv
+from oes.sim.pushing import PushWorld
 from oes.trial.contest import Inputs, ScenarioError, Trials, run_trials
 from oes.trial.outcomes import ROWS, Trial, trial_rows, write_videos
 from tests.blocks import SMOKE, make_catalogue, make_weights
@@ -33,8 +34,13 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
 
 
 @pytest.fixture(scope="module")
-def found(cfg: Trials, inputs: Inputs) -> list[Trial]:
-    return run_trials(cfg, "targets", inputs)
+def progress(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("progress")
+
+
+@pytest.fixture(scope="module")
+def found(cfg: Trials, inputs: Inputs, progress: Path) -> list[Trial]:
+    return run_trials(cfg, "targets", inputs, progress)
 
 
 def test_rows_and_films_of_a_run(cfg: Trials, found: list[Trial], tmp_path: Path) -> None:
@@ -51,8 +57,18 @@ def test_rows_and_films_of_a_run(cfg: Trials, found: list[Trial], tmp_path: Path
         assert (tmp_path / name).stat().st_size > 1000 and (tmp_path / name).with_suffix(".gif").exists()
 
 
-def test_the_same_trials_again(cfg: Trials, inputs: Inputs, found: list[Trial]) -> None:
-    (first, *_), (again, *_) = found, run_trials(replace(cfg, count=1), "targets", inputs)
+def test_finished_trials_are_not_run_again(
+    cfg: Trials, inputs: Inputs, progress: Path, found: list[Trial], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(PushWorld, "push", lambda *_: pytest.fail("a finished trial runs again"))
+    again = run_trials(cfg, "targets", inputs, progress)
+    for old, new in zip(found, again, strict=True):
+        assert (old.planner, old.trial_i, old.failure) == (new.planner, new.trial_i, new.failure)
+        assert old.outcome and new.outcome and np.array_equal(old.outcome.final_G, new.outcome.final_G)
+
+
+def test_the_same_trials_again(cfg: Trials, inputs: Inputs, found: list[Trial], tmp_path: Path) -> None:
+    (first, *_), (again, *_) = found, run_trials(replace(cfg, count=1), "targets", inputs, tmp_path)
     assert first.task and again.task and first.outcome and again.outcome
     assert np.array_equal(first.task.goal_G3, again.task.goal_G3)
     assert np.array_equal(first.outcome.final_G, again.outcome.final_G)
@@ -60,9 +76,11 @@ def test_the_same_trials_again(cfg: Trials, inputs: Inputs, found: list[Trial]) 
 
 
 @pytest.mark.parametrize("model", ["visual_foresight", "planet"])
-def test_models_of_pictures_push_too(cfg: Trials, inputs: Inputs, found: list[Trial], model: str) -> None:
+def test_models_of_pictures_push_too(
+    cfg: Trials, inputs: Inputs, found: list[Trial], model: str, tmp_path: Path
+) -> None:
     theirs = replace(inputs, dynamics=inputs.dynamics.with_name(f"pushing-{model}"))
-    trials = run_trials(replace(cfg, count=1), "targets", theirs)
+    trials = run_trials(replace(cfg, count=1), "targets", theirs, tmp_path)
     assert [trial.planner for trial in trials] == ["shooting", "cem"]
     for trial in trials:
         assert trial.outcome and trial.failure == "" and found[0].task and trial.task
@@ -74,7 +92,7 @@ def test_models_of_pictures_push_too(cfg: Trials, inputs: Inputs, found: list[Tr
 def test_a_trial_that_cannot_begin_is_a_row_with_its_reason(cfg: Trials, inputs: Inputs, tmp_path: Path) -> None:
     targets = replace(cfg.scenarios["targets"], goal_m=(5.0, 6.0), max_attempts=3)
     impossible = replace(cfg, count=1, scenarios={"targets": targets})
-    trials = run_trials(impossible, "targets", inputs)
+    trials = run_trials(impossible, "targets", inputs, tmp_path / "progress")
     assert write_videos(trials, targets, cfg.film, cfg.num_videos, tmp_path) == {}
     write_csv(tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), ROWS)
     with (tmp_path / "trials.csv").open() as file:
@@ -82,6 +100,6 @@ def test_a_trial_that_cannot_begin_is_a_row_with_its_reason(cfg: Trials, inputs:
     assert row["success"] == "False" and row["mean_final_mm"] == "nan" and "no task in 3 attempts" in row["failure"]
 
 
-def test_unknown_scenario_names_the_known(cfg: Trials, inputs: Inputs) -> None:
+def test_unknown_scenario_names_the_known(cfg: Trials, inputs: Inputs, tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"unknown scenario 'fly'.*targets"):
-        run_trials(cfg, "fly", inputs)
+        run_trials(cfg, "fly", inputs, tmp_path)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from joblib import Parallel, delayed
+from joblib import Memory, Parallel, delayed
 from tqdm import tqdm
 
 from oes.config import params
@@ -63,16 +63,17 @@ class Inputs:
     dynamics: Path
 
 
-def run_trials(cfg: Trials, scenario: str, inputs: Inputs) -> list[Trial]:
+def run_trials(cfg: Trials, scenario: str, inputs: Inputs, progress: Path) -> list[Trial]:
     """All trials of a scenario with each of its planners, in order, on ``cfg.num_workers`` processes.
 
-    Raises ScenarioError.
+    Finished trials are kept in the folder ``progress`` and reused. Raises ScenarioError.
     """
     if scenario not in cfg.scenarios:
         raise ScenarioError(f"unknown scenario '{scenario}'; trials.scenarios has: {', '.join(cfg.scenarios)}")
     planners = list(cfg.scenarios[scenario].planners)
     todo = [(planner, trial_i) for planner in planners for trial_i in range(cfg.count)]
-    jobs = (delayed(run_one)(cfg, scenario, inputs, *which) for which in todo)
+    one = delayed(Memory(progress, verbose=0).cache(run_one))
+    jobs = (one(cfg, scenario, inputs, *which) for which in todo)
     done = Parallel(n_jobs=cfg.num_workers, return_as="generator_unordered")(jobs)
     found = list(tqdm(done, total=len(todo), desc=f"trials {scenario}", unit="trial", mininterval=1))
     return sorted(found, key=lambda trial: (planners.index(trial.planner), trial.trial_i))
