@@ -12,15 +12,18 @@ from oes.config import load
 from oes.dynamics.bounds import Simulator, Static
 from oes.episode import Episode, Floats
 from oes.objects import Objects
+from oes.percept.draws import Draws
 from oes.percept.store import Draw, ObjectStore, pack, read_objects, write_objects
 from oes.rollout import Imagined, Replayed, Rollouts, Scene, carried, truth_of
 from oes.score import split_rows
-from oes.sim.simulate import Episodes, simulate
+from oes.sim.simulate import TASKS, Episodes, simulate
+from tests.architecture import PROFILES
 from tests.blocks import make_catalogue
 from tests.factories import make_episode
 from tests.test_dynamics_models import make_objects
 
-CFG = load(Path(__file__).parents[1] / "params.yaml", "rollouts", Rollouts)
+ROOT = Path(__file__).parents[1]
+CFG = load(ROOT / "params.yaml", "rollouts", Rollouts)
 SURFACES = {f"mesh_{i}": trimesh.creation.icosphere(2, 0.04).vertices for i in range(2)}
 
 
@@ -53,6 +56,14 @@ def motion_of(episode: Episode, scene: Scene) -> tuple[Floats, Floats]:
         if i >= 0:
             translation[:, n], rotation[:, n] = found.translation_TN3[:, i], found.rotation_TN33[:, i]
     return translation, rotation
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("task", TASKS)
+def test_objects_are_seen_under_every_setting_that_is_scored(profile: str, task: str) -> None:
+    cfg, draws = load(ROOT / profile, "rollouts", Rollouts), load(ROOT / profile, "objects", Draws)
+    for split, scored in cfg.settings.items():
+        assert scored and set(scored) <= set(draws.settings(task, split)), split
 
 
 def test_the_true_motion_of_a_point_beside_the_centre_is_no_error() -> None:
