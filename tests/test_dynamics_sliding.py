@@ -154,7 +154,7 @@ def test_touches_tell_where_and_how_far() -> None:
     assert beside[0] == pytest.approx([-0.03, 0, tip_m - 0.02, 1, 0, 0, 0.045 - 0.03 - rod_m], abs=1e-5)
     assert inside[0, 6] == pytest.approx(-0.01 - rod_m, abs=1e-4) and beside[2, 6] == math.inf
     flat_BN3 = torch.cat([pose.place_BN2, pose.turn_BN[..., None]], -1).double().numpy()
-    pairs = pair_touches(outlines, flat_BN3, bodies.height_BN.double().numpy(), 0.002)[0]
+    pairs = pair_touches(outlines, flat_BN3, bodies.height_BN.double().numpy(), 0.002, outlines.is_there_BN)[0]
     assert pairs[0, 1] == pytest.approx([0, -1, 0, 0.03, 0, 0, -0.04, 0, 0.01 - 0.002], abs=1e-4)
     assert pairs[1, 0] == pytest.approx([0, 1, 0, -0.03, 0, 0, 0.04, 0, 0.01 - 0.002], abs=1e-4)
     assert pairs[0, 0, 8] == pairs[0, 2, 8] == math.inf, "nothing touches itself, or what is far away"

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oes.compiled import compiled
 from oes.dynamics.constraints import NONE, Rows, add_own, add_pairs, no_rows, prepare, turned_inertia
@@ -22,6 +23,7 @@ def strike(
     grip_BN3: Floats,
     rod_speed_B2: Floats,
     numbers: tuple[float, float, int],
+    is_live_BN: NDArray[np.bool_],
     twist_BN6: Floats,
 ) -> None:
     """Velocities ``twist_BN6`` (of the centre of mass, then angular) such that nothing approaches what it touches in
@@ -30,17 +32,18 @@ def strike(
 
     ``inertia``: inverse inertia BN33 in own axes, for a mass of 1, and masses BN; ``grip_BN3`` friction with table, rod
     and other bodies; ``numbers``: the lever of friction about the normal of one contact, ``h`` and how many rounds;
-    ``pair_BNN9`` see ``oes.dynamics.touch``.
+    ``pair_BNN9`` see ``oes.dynamics.touch``. Contacts of bodies that are not live are left out.
     """
     (inverse_BN33, heavy_BN), (spinning_m, h, rounds) = inertia, numbers
     num = twist_BN6.shape[1]
     rows = no_rows(num)
     inverse_N33, pushed_R4, still_2 = np.empty((num, 3, 3)), np.empty((len(rows.body_R2), 4)), np.zeros(2)
     for b in range(len(twist_BN6)):
-        for n in range(num):
-            turned_inertia(turn_BN33[b, n], inverse_BN33[b, n], heavy_BN[b, n], inverse_N33[n])
         count = 0
         for n in range(num):
+            if not is_live_BN[b, n]:
+                continue
+            turned_inertia(turn_BN33[b, n], inverse_BN33[b, n], heavy_BN[b, n], inverse_N33[n])
             count = add_own(rows, count, table, b, n, turn_BN33[b, n], grip_BN3[b, n, 0], still_2)
             count = add_own(rows, count, rod, b, n, turn_BN33[b, n], grip_BN3[b, n, 1], rod_speed_B2[b])
             count = add_pairs(rows, count, n, pair_BNN9[b, n], grip_BN3[b, n, 2])

@@ -78,16 +78,17 @@ def advance(
     table, rod = kept
     flat_BN3 = np.empty_like(place_BN3)
     inertia, numbers = (heft.inverse_BN33, heft.heavy_BN), (times.spinning_m, times.h, times.rounds)
-    for _ in range(times.parts):
-        feet_BN7 = foot_touches(bodies, place_BN3, turn_BN33, ahead_B2)
+    for part in range(times.parts):
         sides_BN7 = rod_touches(bodies, place_BN3, turn_BN33, rod_B3, times.rod_m, times.tip_m)
-        keep(table, feet_BN7, place_BN3, turn_BN33, reach.ground_B3, reach.far_BN)
-        keep(rod, sides_BN7, place_BN3, turn_BN33, rod_B3, reach.rod_far_BN)
+        keep(rod, sides_BN7, place_BN3, turn_BN33, rod_B3, reach.rod_far_BN, bodies.is_there_BN)
         _flatten(place_BN3, turn_BN33, flat_BN3)
-        pair_BNN9 = pair_touches(bodies, flat_BN3, heft.height_BN, times.margin_m)
+        pair_BNN9 = pair_touches(bodies, flat_BN3, heft.height_BN, times.margin_m, is_awake_BN | (part == 0))
         _wake(rod, pair_BNN9, is_awake_BN)
+        is_live_BN = _live(pair_BNN9, is_awake_BN) | (part == 0)
+        feet_BN7 = foot_touches(bodies, place_BN3, turn_BN33, ahead_B2, is_live_BN)
+        keep(table, feet_BN7, place_BN3, turn_BN33, reach.ground_B3, reach.far_BN, is_live_BN)
         twist_BN6[..., 2] -= GRAVITY * times.h
-        strike(table, rod, pair_BNN9, turn_BN33, inertia, heft.grip_BN3, speed_B2, numbers, twist_BN6)
+        strike(table, rod, pair_BNN9, turn_BN33, inertia, heft.grip_BN3, speed_B2, numbers, is_live_BN, twist_BN6)
         _move(moving, times.h)
     _flatten(place_BN3, turn_BN33, flat_BN3)
     return flat_BN3
@@ -112,6 +113,16 @@ def _wake(rod: Kept, pair_BNN9: Floats, is_awake_BN: NDArray[np.bool_]) -> None:
             for other in range(pair_BNN9.shape[1]):
                 is_near = is_near or pair_BNN9[b, n, other, 8] < WAKE_M
             is_awake_BN[b, n] = is_awake_BN[b, n] or is_near
+
+
+@compiled
+def _live(pair_BNN9: Floats, is_awake_BN: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which bodies BN are awake or near others; nothing happens to the rest, whose contacts need no solving."""
+    is_live_BN = is_awake_BN.copy()
+    for b, n, other in np.ndindex(*pair_BNN9.shape[:3]):
+        if pair_BNN9[b, n, other, 8] < np.inf:
+            is_live_BN[b, n] = is_live_BN[b, other] = True
+    return is_live_BN
 
 
 @compiled

@@ -45,12 +45,16 @@ class Outlines(NamedTuple):
 
 
 @compiled
-def foot_touches(bodies: Outlines, place_BN3: Floats, turn_BN33: Floats, side_B2: Floats) -> Floats:
-    """Touches BN7 of every body with the table: its lowest foot; of equally low ones that farthest to a side."""
+def foot_touches(
+    bodies: Outlines, place_BN3: Floats, turn_BN33: Floats, side_B2: Floats, is_live_BN: NDArray[np.bool_]
+) -> Floats:
+    """Touches BN7 of live bodies with the table: the lowest foot; of equally low ones that farthest to a side."""
     touch_BN7 = np.zeros((*place_BN3.shape[:2], 7))
     for b in range(len(place_BN3)):
         lean_x, lean_y = LEAN * side_B2[b, 0], LEAN * side_B2[b, 1]
         for n in range(place_BN3.shape[1]):
+            if not is_live_BN[b, n]:
+                continue
             lowest, turn_33 = np.inf, turn_BN33[b, n]
             lean_3 = lean_x * turn_33[0] + lean_y * turn_33[1]
             for foot_3 in bodies.foot_BNM3[b, n]:
@@ -82,13 +86,18 @@ def rod_touches(
 
 
 @compiled
-def pair_touches(bodies: Outlines, pose_BN3: Floats, height_BN: Floats, margin_m: float) -> Floats:
-    """Touches BNN9 of every body (first) with every other."""
+def pair_touches(
+    bodies: Outlines, pose_BN3: Floats, height_BN: Floats, margin_m: float, is_awake_BN: NDArray[np.bool_]
+) -> Floats:
+    """Touches BNN9 of every body (first) with every other, where at least one of them is awake."""
     num = pose_BN3.shape[1]
     touch_BNN9 = np.empty((len(pose_BN3), num, num, 9))
     for b in range(len(pose_BN3)):
         for i in range(num):
             for j in range(num):
+                if not (is_awake_BN[b, i] or is_awake_BN[b, j]):
+                    touch_BNN9[b, i, j, 8] = np.inf
+                    continue
                 x, y, own_x, own_y, its_x, its_y, gap = _pair_touch(bodies, b, i, j, pose_BN3[b])
                 z = min(bodies.tall_BN[b, i], bodies.tall_BN[b, j]) / 2
                 touch_BNN9[b, i, j, :5] = -x, -y, own_x, own_y, z - height_BN[b, i]
