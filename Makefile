@@ -28,17 +28,17 @@ CODE = $(call GLANCE,pipeline.yaml params.yaml stages oes)
 DATA = $(call GLANCE,dvc.lock datasets reports)
 
 # DVC runs one stage after the other. The models of dynamics and video do not depend on each other and gain little from
-# a second thread, so each gets one core and they run side by side, and so do their rollouts; who finds DVC's lock taken
-# tries again. The alphabet backwards happens to begin with long ones, so no core is idle for long.
+# a second thread, so each gets one core and they run side by side, and so does what is done with them; who finds DVC's
+# lock taken tries again. The alphabet backwards happens to begin with long ones, so no core is idle for long.
 LIST = dvc stage list --name-only | grep -E '^($(1))@' | sort -r
-SIDE_BY_SIDE = OMP_NUM_THREADS=1 xargs -P $$(nproc) -n 1 bash -c 'set -o pipefail; log=.dvc/tmp/$$0.log; \
+SIDE_BY_SIDE = OMP_NUM_THREADS=1 LOKY_MAX_CPU_COUNT=1 xargs -P $$(nproc) -n 1 bash -c 'set -o pipefail; log=.dvc/tmp/$$0.log; \
   until dvc repro -s $$0 2>&1 | tee $$log; do grep -q "Unable to acquire lock" $$log || exit 1; sleep $$((RANDOM % 5 + 1)); done'
 
 all: profile ## the whole study, from meshes to reports/; what is up to date is not run again
 	@cd $(HERE) && code="$$($(CODE))" && done=.dvc/tmp/done && \
 	  if [ -f $$done ] && [ "$$code $$($(DATA))" = "$$(cat $$done)" ]; then echo 'Everything is up to date.'; \
 	  else dvc repro objects frames && $(call LIST,dynamics|video) | $(SIDE_BY_SIDE) && \
-	  $(call LIST,rollouts) | $(SIDE_BY_SIDE) && dvc repro && echo "$$code $$($(DATA))" > $$done; fi
+	  $(call LIST,rollouts|futures|trials) | $(SIDE_BY_SIDE) && dvc repro && echo "$$code $$($(DATA))" > $$done; fi
 
 test: setup check ## everything that must be green before a commit, from a fresh clone on
 
@@ -85,8 +85,8 @@ evaluate: setup ## Table 1 on your own meshes, no training: make evaluate MESHES
 doctor: setup ## check every recorded episode
 	@cd $(HERE) && python -m oes.record.doctor datasets/episodes
 
-clean: ## delete unfinished work and the other profiles' builds; datasets and the cache stay
-	rm -rf .work build .mypy_cache .pytest_cache .ruff_cache
+clean: ## delete unfinished work, the other profiles' builds and kept machine code; datasets and the cache stay
+	rm -rf .work build .mypy_cache .pytest_cache .ruff_cache oes/__pycache__/numba-*
 
 # The lock's checksum is in the stamp's name, so that neither a checkout nor a touch installs anything again.
 $(READY): requirements.lock
