@@ -180,6 +180,16 @@ def test_what_rests_and_is_not_touched_stays_to_the_last_bit() -> None:
     assert float(after.turn_BN[0, 1]) == 0 and (after.twist_BN3[0, 1] == 0).all()
 
 
+def test_what_rests_elsewhere_changes_nothing_of_a_push_to_the_last_bit() -> None:
+    """Though what rests is solved only where something comes near: the second is struck, the others are not."""
+    push = torch.tensor([[-0.05, 0.003]]), torch.tensor([[0.06, 0.0]]), physics()
+    alone = slide(*discs((0.0, 0.0), (0.075, 0.0)), *push)
+    among = slide(*discs((0.0, 0.0), (0.2, 0.2), (0.075, 0.0), (0.265, 0.2)), *push)
+    assert float(alone.place_BN2[0, 1, 0]) > 0.08
+    for name in vars(alone):
+        assert torch.equal(getattr(alone, name), getattr(among, name)[:, [0, 2]]), name
+
+
 def test_scenes_shared_out_among_threads_end_as_those_of_one() -> None:
     cfg, (bodies, pose), count = physics(), discs((0.0, 0.0), (0.07, 0.02)), 40
     many, poses = (
