@@ -18,7 +18,7 @@ from oes.trial.contest import CAMERAS, PLANS, TASKS, Photographer, Trials, make_
 from oes.trial.minds import load_mind
 from oes.trial.task import draw_task, generator
 
-SCENARIO, MODELS, REPEATS = "obstacle", ("oes", "graph_xyz"), 10
+SCENARIO, MODELS, REPEATS = "obstacle", ("contact", "oes", "graph_xyz"), 10
 
 
 def median_ms(call: Callable[[], object]) -> float:
