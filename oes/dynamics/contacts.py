@@ -38,20 +38,11 @@ def none_kept(batch: int, num: int) -> Kept:
 
 @compiled
 def keep(
-    kept: Kept,
-    touch_BN7: Floats,
-    place_BN3: Floats,
-    turn_BN33: Floats,
-    origin_B3: Floats,
-    far_BN: Floats,
-    is_live_BN: NDArray[np.bool_],
+    kept: Kept, touch_BN7: Floats, place_BN3: Floats, turn_BN33: Floats, origin_B3: Floats, far_BN: Floats
 ) -> None:
-    """Add the nearest places (see ``oes.dynamics.touch``) and forget what is farther off than ``far_BN``; of bodies
-    that are not live, nothing changes."""
+    """Add the nearest places (see ``oes.dynamics.touch``) and forget what is farther off than ``far_BN``."""
     for b in range(len(place_BN3)):
         for n in range(place_BN3.shape[1]):
-            if not is_live_BN[b, n]:
-                continue
             one = (kept.point_BN43[b, n], kept.anchor_BN43[b, n], kept.normal_BN43[b, n], kept.gap_BN4[b, n])
             count, far = kept.count_BN[b, n], far_BN[b, n]
             if touch_BN7[b, n, 6] < far:

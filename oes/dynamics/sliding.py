@@ -102,7 +102,7 @@ def _advance(bodies: Bodies, moving: Moving, cfg: Physics) -> Floats:
     ahead_B2 = speed_B2 / np.maximum(np.hypot(speed_B2[:, :1], speed_B2[:, 1:]), SLOW_M_S)
     for side_B2 in _sides(ahead_B2):  # at rest all stand on four feet
         feet_BN7 = foot_touches(outlines, moving.place_BN3, moving.turn_BN33, side_B2, outlines.is_there_BN)
-        keep(table, feet_BN7, moving.place_BN3, moving.turn_BN33, reach.ground_B3, far_BN, outlines.is_there_BN)
+        keep(table, feet_BN7, moving.place_BN3, moving.turn_BN33, reach.ground_B3, far_BN)
     times = Times(
         h=cfg.step_s / cfg.parts,
         parts=cfg.parts,

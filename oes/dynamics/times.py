@@ -80,13 +80,13 @@ def advance(
     inertia, numbers = (heft.inverse_BN33, heft.heavy_BN), (times.spinning_m, times.h, times.rounds)
     for part in range(times.parts):
         sides_BN7 = rod_touches(bodies, place_BN3, turn_BN33, rod_B3, times.rod_m, times.tip_m)
-        keep(rod, sides_BN7, place_BN3, turn_BN33, rod_B3, reach.rod_far_BN, bodies.is_there_BN)
+        keep(rod, sides_BN7, place_BN3, turn_BN33, rod_B3, reach.rod_far_BN)
         _flatten(place_BN3, turn_BN33, flat_BN3)
         pair_BNN9 = pair_touches(bodies, flat_BN3, heft.height_BN, times.margin_m, is_awake_BN | (part == 0))
         _wake(rod, pair_BNN9, is_awake_BN)
-        is_live_BN = _live(pair_BNN9, is_awake_BN) | (part == 0)
+        is_live_BN = _live(pair_BNN9, is_awake_BN)
         feet_BN7 = foot_touches(bodies, place_BN3, turn_BN33, ahead_B2, is_live_BN)
-        keep(table, feet_BN7, place_BN3, turn_BN33, reach.ground_B3, reach.far_BN, is_live_BN)
+        keep(table, feet_BN7, place_BN3, turn_BN33, reach.ground_B3, reach.far_BN)
         twist_BN6[..., 2] -= GRAVITY * times.h
         strike(table, rod, pair_BNN9, turn_BN33, inertia, heft.grip_BN3, speed_B2, numbers, is_live_BN, twist_BN6)
         _move(moving, times.h)

@@ -48,12 +48,14 @@ class Outlines(NamedTuple):
 def foot_touches(
     bodies: Outlines, place_BN3: Floats, turn_BN33: Floats, side_B2: Floats, is_live_BN: NDArray[np.bool_]
 ) -> Floats:
-    """Touches BN7 of live bodies with the table: the lowest foot; of equally low ones that farthest to a side."""
+    """Touches BN7 of live bodies with the table: the lowest foot; of equally low ones that farthest to a side. Those of
+    others are infinitely far."""
     touch_BN7 = np.zeros((*place_BN3.shape[:2], 7))
     for b in range(len(place_BN3)):
         lean_x, lean_y = LEAN * side_B2[b, 0], LEAN * side_B2[b, 1]
         for n in range(place_BN3.shape[1]):
-            if not is_live_BN[b, n]:
+            if not (is_live_BN[b, n] and bodies.is_there_BN[b, n]):
+                touch_BN7[b, n, 6] = np.inf
                 continue
             lowest, turn_33 = np.inf, turn_BN33[b, n]
             lean_3 = lean_x * turn_33[0] + lean_y * turn_33[1]
@@ -64,8 +66,6 @@ def foot_touches(
                     lowest = leant
                     touch_BN7[b, n, :3], touch_BN7[b, n, 6] = foot_3, place_BN3[b, n, 2] + height
             touch_BN7[b, n, 5] = 1.0
-            if not bodies.is_there_BN[b, n]:
-                touch_BN7[b, n, 6] = np.inf
     return touch_BN7
 
 
