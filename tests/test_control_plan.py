@@ -9,16 +9,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from oes.control.plan import Imagined, Plan, PlanError, Proposals, search
+from oes.control.plan import Imagined, Plan, PlanError, Proposals, Risk, search
 from oes.control.proposals import Footprint, NoFreeStart, Push, PushSampler, Rod, Search, footprint
 from oes.control.track import assign, update
 
 PUSH = Push(attempts=10, length_m=(0.03, 0.06), clearance_m=(0.005, 0.015), aim=0.6, turn_deg=30.0)
-SEARCH = Search(candidates=30, horizon_steps=1, rounds=1, elites=5, toward=0.0, spread_deg=10.0, spread=0.2)
+SEARCH = Search(
+    candidates=30, horizon_steps=1, rounds=1, elites=5, toward=0.0, spread_deg=10.0, spread=0.2, shortlist=5, futures=1
+)
 ROD = Rod(radius_m=0.008, tip_height_m=0.02, reach_m=0.3)
 
 
-def _double_integrator(proposals: Proposals) -> Imagined:
+def _double_integrator(proposals: Proposals, futures: int = 1) -> Imagined:
     """Positions SH13 of a unit mass at rest at the origin under the actions as accelerations, unit time steps."""
     velocity = proposals.actions_SH3.cumsum(dim=1)
     return _moved(velocity.cumsum(dim=1)[:, :, None])
@@ -83,7 +85,7 @@ def test_more_rounds_come_closer_than_as_many_plans_in_one() -> None:
 def test_the_best_of_all_rounds_is_kept() -> None:
     offers = iter([torch.tensor([[[1.0, 0, 0]]]), torch.tensor([[[5.0, 0, 0]]])])
     best = search(
-        lambda _: _given(next(offers)), lambda p: _moved(p.actions_SH3[:, :, None]), _at_the_end(torch.zeros(3)), 2
+        lambda _: _given(next(offers)), lambda p, _: _moved(p.actions_SH3[:, :, None]), _at_the_end(torch.zeros(3)), 2
     )
     assert best.cost == 1.0 and best.actions_H3.tolist() == [[1.0, 0, 0]]
 
@@ -91,7 +93,7 @@ def test_the_best_of_all_rounds_is_kept() -> None:
 def test_point_mass_picks_the_nearest_candidate_for_every_goal() -> None:
     actions = torch.randn(50, 1, 3, generator=torch.Generator().manual_seed(1))
     for goal in torch.randn(5, 3, generator=torch.Generator().manual_seed(2)):
-        best = search(lambda _: _given(actions), lambda p: _moved(p.actions_SH3[:, :, None]), _at_the_end(goal))
+        best = search(lambda _: _given(actions), lambda p, _: _moved(p.actions_SH3[:, :, None]), _at_the_end(goal))
         distance = (actions[:, 0] - goal).norm(dim=-1)
         assert best.cost == pytest.approx(float(distance.min()))
         assert torch.equal(best.actions_H3[0], actions[distance.argmin(), 0])
@@ -102,7 +104,7 @@ def test_a_plan_ends_where_it_costs_least() -> None:
     actions = torch.tensor([[[1.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]])
     best = search(
         lambda _: _given(actions),
-        lambda p: _moved(p.actions_SH3.cumsum(1)[:, :, None]),
+        lambda p, _: _moved(p.actions_SH3.cumsum(1)[:, :, None]),
         lambda imagined: (imagined.position_SHN3[:, :, 0, 0] - 2).abs(),
     )
     assert best.cost == 0 and best.actions_H3.shape == (2, 3) and best.position_HN3[-1, 0, 0] == 2
@@ -112,11 +114,55 @@ def test_diverged_candidates_are_never_chosen() -> None:
     actions = torch.tensor([[[0.0, 0, 0]], [[1.0, 0, 0]]])
     factor, cost = torch.tensor([torch.nan, 1.0]), _at_the_end(torch.zeros(3))
     best = search(
-        lambda _: _given(actions), lambda p: _moved((p.actions_SH3 * factor[:, None, None])[:, :, None]), cost
+        lambda _: _given(actions), lambda p, _: _moved((p.actions_SH3 * factor[:, None, None])[:, :, None]), cost
     )
     assert best.cost == pytest.approx(1.0)
     with pytest.raises(PlanError, match="no candidate has a finite cost"):
-        search(lambda _: _given(actions), lambda p: _moved(p.actions_SH3[:, :, None] * torch.nan), cost)
+        search(lambda _: _given(actions), lambda p, _: _moved(p.actions_SH3[:, :, None] * torch.nan), cost)
+
+
+def _windy(proposals: Proposals, futures: int) -> Imagined:
+    """A point that goes where it is pushed; in futures but the first, the farther it is pushed at once, the farther it
+    is blown to either side."""
+    was_SH3 = proposals.actions_SH3.cumsum(1)
+    wind_DS = torch.linspace(-1, 1, futures)[:, None] * proposals.actions_SH3[:, 0].norm(dim=-1).square()
+    aside_DSH3 = torch.zeros(futures, *was_SH3.shape)
+    aside_DSH3[1:, ..., 1] = wind_DS[1:, :, None]
+    position_FH3 = (was_SH3 + aside_DSH3).flatten(0, 1)
+    return replace(_moved(position_FH3[:, :, None]), draws=futures)
+
+
+def test_a_plan_that_may_go_wrong_costs_more_the_more_one_is_averse_to_it() -> None:
+    bold, timid = [[1.0, 0, 0], [0.0, 0, 0]], [[0.45, 0, 0], [0.45, 0, 0]]
+    cost = _at_the_end(torch.tensor([1.0, 0.0, 0.0]))
+    plans = {
+        aversion: search(lambda _: _given(torch.tensor([bold, timid])), _windy, cost, risk=Risk(2, 9, aversion))
+        for aversion in (0.0, 1.0)
+    }
+    once = search(lambda _: _given(torch.tensor([bold, timid])), _windy, cost)
+    assert once.actions_H3.tolist() == bold, "in the likeliest future it gets there"
+    assert all(plan.actions_H3.tolist() == torch.tensor(timid).tolist() for plan in plans.values())
+    assert plans[1.0].cost > plans[0.0].cost > 0.1
+
+
+def test_only_the_shortlist_is_imagined_again_and_each_plan_only_to_where_it_cost_least() -> None:
+    seen: list[tuple[Proposals, int]] = []
+
+    def unroll(proposals: Proposals, futures: int) -> Imagined:
+        seen.append((proposals, futures))
+        return _windy(proposals, futures)
+
+    actions = torch.zeros(20, 3, 3)
+    actions[:, 0, 0], actions[:, 1, 0], actions[:, 2, 0] = torch.linspace(0, 1, 20), 0.5, 5.0
+    best = search(
+        lambda _: _given(actions), unroll, lambda i: (i.position_SHN3[:, :, 0, 0] - 1).abs(), 1, 2, Risk(3, 4, 0.5)
+    )
+    assert [(len(proposals.tip_S3), futures) for proposals, futures in seen] == [(20, 1), (3, 4)]
+    again_SH = seen[1][0].actions_SH3[..., 0]
+    assert again_SH[:, 1].tolist() == [0.5, 0.5, 0.5] and (again_SH[:, 0] >= 0.4).all(), "two of the three actions"
+    assert best.actions_H3[:, 0].tolist() == [1.0], "what would come after the best place is not looked at again"
+    with pytest.raises(ValueError, match="shortlist must be at least elites"):
+        replace(SEARCH, elites=SEARCH.shortlist + 1)
 
 
 def _square(center: tuple[float, float], half_cells: int) -> Footprint:

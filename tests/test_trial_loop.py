@@ -26,8 +26,12 @@ from oes.trial.planner import Photos, Planner, Planning, Track
 from oes.trial.task import Scenario, Task, draw_task, generator
 from tests.blocks import make_catalogue, read_sim
 
-SHOOTING = Search(candidates=60, horizon_steps=1, rounds=1, elites=1, toward=0.0, spread_deg=0.0, spread=0.0)
-CEM = Search(candidates=20, horizon_steps=1, rounds=3, elites=4, toward=0.5, spread_deg=20.0, spread=0.3)
+SHOOTING = Search(
+    candidates=60, horizon_steps=1, rounds=1, elites=1, toward=0.0, spread_deg=0.0, spread=0.0, shortlist=6, futures=8
+)
+CEM = Search(
+    candidates=20, horizon_steps=1, rounds=3, elites=4, toward=0.5, spread_deg=20.0, spread=0.3, shortlist=6, futures=8
+)
 TARGETS = Scenario(
     num_objects=(1, 2),
     scatter=Scatter(spread_m=0.15, rim_m=0.27, gap_m=0.03),

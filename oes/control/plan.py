@@ -1,12 +1,12 @@
 """Planning by imagining: of many proposed plans, the one that costs least (paper 3.3 and C.3).
 
 One round of independent proposals is random shooting, as in the paper; more rounds, each proposed around the best of
-the one before, are the cross-entropy method. ``unroll`` and ``cost`` arrive as functions, so the planner cannot reach
-a simulator.
+the one before, are the cross-entropy method. Where a model draws futures, every plan is imagined in one, and the best
+of them in many. ``unroll`` and ``cost`` arrive as functions, so the planner cannot reach a simulator.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -54,8 +54,42 @@ class Plan:
 
 
 Propose = Callable[[Tensor | None], Proposals]  # of the draws EK of the best plans of the round before; None at first
-Unroll = Callable[[Proposals], Imagined]
+Unroll = Callable[[Proposals, int], Imagined]  # in so many futures of every plan
 Cost = Callable[[Imagined], Tensor]  # SH: of every plan, were it to end after each of its steps
+
+
+@dataclass(frozen=True)
+class Risk:
+    """How plans are judged whose future is uncertain: the ``shortlist`` best by the likeliest are imagined in
+    ``futures`` each, and cost the mean and ``aversion`` standard deviations."""
+
+    shortlist: int
+    futures: int
+    aversion: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """S plans, what they would do, what each costs and after which step (from 0) it costs that."""
+
+    proposals: Proposals
+    imagined: Imagined
+    cost_S: Tensor
+    stop_S: Tensor
+
+    def best(self, count: int) -> Tensor:
+        """Numbers of the ``count`` cheapest, in order."""
+        return self.cost_S.argsort()[:count]
+
+    def plan(self, i: int) -> Plan:
+        """One of them, up to where it costs least."""
+        steps = int(self.stop_S[i]) + 1
+        return Plan(
+            tip_3=self.proposals.tip_S3[i],
+            actions_H3=self.proposals.actions_SH3[i, :steps],
+            position_HN3=self.imagined.position_SHN3[i, :steps],
+            cost=float(self.cost_S[i]),
+        )
 
 
 def risk_averse(cost_FH: Tensor, draws: int, aversion: float) -> Tensor:
@@ -69,34 +103,42 @@ def risk_averse(cost_FH: Tensor, draws: int, aversion: float) -> Tensor:
 
 
 def search(
-    propose: Propose, unroll: Unroll, cost: Cost, rounds: int = 1, elites: int = 1, aversion: float = 0.0
+    propose: Propose, unroll: Unroll, cost: Cost, rounds: int = 1, elites: int = 1, risk: Risk | None = None
 ) -> Plan:
     """The best plan of ``rounds`` rounds; each after the first is proposed from the ``elites`` best of the last.
 
-    ``aversion``: see ``risk_averse``. Raises PlanError when no candidate has a finite cost: a diverged model plans
-    nothing.
+    ``risk``: where plans are judged in several futures; its shortlist holds the elites. Raises PlanError when no
+    candidate has a finite cost: a diverged model plans nothing.
     """
     best: Plan | None = None
     drawn: Tensor | None = None
     for _ in range(rounds):
-        proposals = propose(drawn)
-        imagined = unroll(proposals)
-        cost_SH = torch.nan_to_num(risk_averse(cost(imagined), imagined.draws, aversion), nan=torch.inf)
-        assert cost_SH.shape == proposals.actions_SH3.shape[:2], cost_SH.shape
-        cost_S, stop_S = cost_SH.min(dim=1)
-        order = cost_S.argsort()
-        if best is None or cost_S[order[0]] < best.cost:
-            best = _cut(proposals, imagined, int(order[0]), int(stop_S[order[0]]) + 1, float(cost_S[order[0]]))
-        drawn = proposals.draws_SK[order[:elites]]
+        judged = _judged(propose(drawn), unroll, cost)
+        if risk is not None:
+            judged = _judged_again(judged, judged.best(risk.shortlist), unroll, cost, risk)
+        order = judged.best(elites)
+        if best is None or judged.cost_S[order[0]] < best.cost:
+            best = judged.plan(int(order[0]))
+        drawn = judged.proposals.draws_SK[order]
     if best is None or not torch.isfinite(torch.tensor(best.cost)):
         raise PlanError(f"plan: no candidate has a finite cost in {rounds} rounds")
     return best
 
 
-def _cut(proposals: Proposals, imagined: Imagined, best_i: int, steps: int, cost: float) -> Plan:
-    return Plan(
-        tip_3=proposals.tip_S3[best_i],
-        actions_H3=proposals.actions_SH3[best_i, :steps],
-        position_HN3=imagined.position_SHN3[best_i, :steps],
-        cost=cost,
-    )
+def _judged(proposals: Proposals, unroll: Unroll, cost: Cost) -> Judged:
+    """Every plan in one future."""
+    imagined = unroll(proposals, 1)
+    cost_SH = torch.nan_to_num(cost(imagined), nan=torch.inf)
+    assert cost_SH.shape == proposals.actions_SH3.shape[:2], cost_SH.shape
+    return Judged(proposals, imagined, *cost_SH.min(dim=1))
+
+
+def _judged_again(first: Judged, chosen_S: Tensor, unroll: Unroll, cost: Cost, risk: Risk) -> Judged:
+    """Some plans in several futures, none farther than to where it cost least; what comes after that is left out."""
+    stop_S1 = first.stop_S[chosen_S, None]
+    proposals = Proposals(**{name: value[chosen_S] for name, value in vars(first.proposals).items()})
+    proposals = replace(proposals, actions_SH3=proposals.actions_SH3[:, : int(stop_S1.max()) + 1])
+    is_after_SH = torch.arange(proposals.actions_SH3.shape[1]) > stop_S1
+    imagined = unroll(proposals, risk.futures)
+    cost_SH = torch.nan_to_num(risk_averse(cost(imagined), imagined.draws, risk.aversion), nan=torch.inf)
+    return Judged(proposals, imagined, *cost_SH.masked_fill(is_after_SH, torch.inf).min(dim=1))

@@ -35,7 +35,8 @@ class Search:
 
     One round is random shooting. Each further one is drawn around the ``elites`` best plans of the last: headings and
     turns with a standard deviation of ``spread_deg``, the other numbers of ``spread`` times half their range. In the
-    first round a share ``toward`` sets out where an object should go, give or take ``spread_deg``.
+    first round a share ``toward`` sets out where an object should go, give or take ``spread_deg``. With a model that
+    draws futures, the ``shortlist`` best of each round are imagined again, in ``futures`` each (1: never).
     """
 
     candidates: int
@@ -45,6 +46,13 @@ class Search:
     toward: float
     spread_deg: float
     spread: float
+    shortlist: int
+    futures: int
+
+    def __post_init__(self) -> None:
+        """Raises ValueError (a ParamsError when read from params.yaml) for a shortlist without all elites."""
+        if self.shortlist < self.elites:
+            raise ValueError(f"shortlist must be at least elites ({self.elites}); found {self.shortlist}")
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,6 @@ from oes.video.overhead import Overhead, OverheadView
 from oes.video.planet import PlaNet, unroll_latent
 from oes.video.train import is_video_model, load_video_model
 
-MOST_STEPS = 600  # of a scene: a third to half a second of two cores, for one and two objects that slide
-
 
 @dataclass(frozen=True)
 class Belief:
@@ -40,35 +38,42 @@ class Belief:
 
 
 class Mind(Protocol):
-    """A model as a planner uses it. ``view``: the picture from above that it wants, if any."""
+    """A model as a planner uses it. ``view``: the picture from above that it wants, if any; ``draws_futures``: whether
+    it imagines more than one of a plan."""
 
     @property
     def view(self) -> OverheadView | None: ...
 
-    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals) -> Imagined:
-        """What the proposals would do; the goals are those of the first G objects."""
+    @property
+    def draws_futures(self) -> bool: ...
+
+    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals, futures: int = 1) -> Imagined:
+        """What the proposals would do, in up to so many futures each; the goals are those of the first G objects."""
 
 
 @dataclass(frozen=True)
 class GraphMind:
-    """A graph network over the perceived objects. A model that draws futures is asked for as many of each plan as
-    ``MOST_STEPS`` allows, the one of what is seen first."""
+    """A graph network over the perceived objects."""
 
     model: Model
     view: None = None
 
+    @property
+    def draws_futures(self) -> bool:
+        """Whether the model does."""
+        return self.model.drawn > 1
+
     @torch.inference_mode()
-    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals) -> Imagined:
-        """Appearance is read once; every plan meets the same draws of it."""
-        (samples, horizon, _), objects = proposals.actions_SH3.shape, belief.objects
+    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals, futures: int = 1) -> Imagined:
+        """Appearance is read once; every plan meets the same draws of it, the one of what is seen first."""
+        samples, objects = len(proposals.actions_SH3), belief.objects
         batched = Objects(**{name: value[None] for name, value in vars(objects).items()})
-        draws = max(1, min(self.model.drawn, MOST_STEPS // (samples * horizon)))
+        draws = min(self.model.drawn, futures)
         appearance_1NC = self.model.appearance(batched)
         appearance_DNC = self.model.redrawn(appearance_1NC)[:draws] if draws > 1 else appearance_1NC
         appearance_FNC = appearance_DNC.repeat_interleave(samples, 0)
         tip_F3, actions_FH3 = proposals.tip_S3.repeat(draws, 1), proposals.actions_SH3.repeat(draws, 1, 1)
-        futures = draws * samples
-        state = at_rest(batched.center_N3.expand(futures, -1, -1), batched.valid_N.expand(futures, -1))
+        state = at_rest(*(x.expand(draws * samples, *x.shape[1:]) for x in (batched.center_N3, batched.valid_N)))
         found = future_from(self.model, appearance_FNC, state, tip_F3, actions_FH3)
         position_FHN3 = objects.center_N3 + found.translation_BTN3
         return Imagined(_path(proposals).repeat(draws, 1, 1), position_FHN3, found.rotation_BTN33, draws=draws)
@@ -80,9 +85,10 @@ class ForesightMind:
 
     net: VisualForesight
     view: OverheadView
+    draws_futures: bool = False
 
     @torch.inference_mode()
-    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals) -> Imagined:
+    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals, futures: int = 1) -> Imagined:
         """Turns are not foreseen."""
         above = Overhead(self.view)
         place_N2 = torch.from_numpy(above.place(belief.center_N3)).float()
@@ -104,9 +110,10 @@ class PlanetMind:
 
     net: PlaNet
     view: OverheadView
+    draws_futures: bool = False
 
     @torch.inference_mode()
-    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals) -> Imagined:
+    def imagine(self, belief: Belief, goal_G3: Floats, proposals: Proposals, futures: int = 1) -> Imagined:
         """Goals are told in the order of their objects from left to right, as in training."""
         above = Overhead(self.view)
         order = np.argsort(above.place(belief.center_N3[: len(goal_G3)])[:, 0])[: self.net.cfg.goals]

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from oes.config import params
 from oes.control.cost import Avoid, GoalCost, Scene
-from oes.control.plan import Plan, search
+from oes.control.plan import Plan, Risk, search
 from oes.control.proposals import Push, PushSampler, Rod, Search, footprint
 from oes.control.track import update
 from oes.episode import Camera, Floats, Frames
@@ -37,7 +37,7 @@ class Track:
 @params
 class Planning:
     """What every planner has in common: which pushes it may propose, what it avoids, how it follows the objects, and
-    how many standard deviations of a plan's cost count beside its mean, where a model draws several futures."""
+    how many standard deviations of a plan's cost count beside its mean, where several futures of it are imagined."""
 
     push: Push
     avoid: Avoid
@@ -106,13 +106,14 @@ class Planner(Generic[Seen]):
         scene = Scene(shapes[: len(goal_G3)], shapes[len(goal_G3) :], self.rod, self.half_m)
         cost = GoalCost(scene, goal_G3, self.cfg.avoid)
         sampler, headings_G = PushSampler(scene.moved, scene.obstacles, self.rod, self.cfg.push, rng), cost.headings()
+        asks_again = self.mind.draws_futures and search_cfg.futures > 1
         found = search(
             lambda elites: sampler(search_cfg, headings_G, elites),
-            lambda proposals: self.mind.imagine(belief, goal_G3, proposals),
+            lambda proposals, futures: self.mind.imagine(belief, goal_G3, proposals, futures),
             cost,
             search_cfg.rounds,
             search_cfg.elites,
-            self.cfg.aversion,
+            Risk(search_cfg.shortlist, search_cfg.futures, self.cfg.aversion) if asks_again else None,
         )
         judges_itself = self.mind.view is not None  # then its cost is on a scale of its own
         return found if judges_itself or found.cost < cost.at_rest() else None
