@@ -17,9 +17,10 @@ from oes.stage import imports, reached
 
 # From the bottom up: a module or package of oes may import only those before it.
 ORDER = (
-    "config", "compiled", "precision", "episode", "geom", "objects", "measure", "rows", "weights", "checkpoint", "muon",
-    "stage", "fit", "film", "report", "meshes", "sim", "render", "record", "capture", "card", "percept", "dynamics",
-    "video", "control", "overlap", "rollout", "score", "imagine", "trial", "evaluate", "demo", "browse", "view",
+    "config", "compiled", "precision", "episode", "geom", "objects", "measure", "likeness", "rows", "weights",
+    "checkpoint", "muon", "stage", "fit", "film", "report", "meshes", "sim", "render", "record", "capture", "card",
+    "percept", "dynamics", "video", "control", "overlap", "rollout", "score", "imagine", "trial", "evaluate",
+    "demo", "browse", "view",
 )  # fmt: skip
 
 # Libraries that only some packages may import.
@@ -34,6 +35,7 @@ OWNERS = {
         "geom",
         "objects",
         "precision",
+        "likeness",
         "weights",
         "checkpoint",
         "muon",

@@ -8,11 +8,11 @@ import torch
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
-from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from oes.episode import Camera, Episode, Floats, Frames
 from oes.geom.boxes import base, iou
 from oes.geom.voxels import Grid, voxelize
+from oes.likeness import likeness
 from oes.measure import Boxes, average_precision, chamfer_mm, normal_deg
 from oes.percept.network import Scene
 from oes.percept.perceiver import Perceiver
@@ -137,12 +137,9 @@ def view_row(perceiver: Perceiver, scene: Scene, frames: Frames, camera: Camera)
 
 def picture_quality(guess_HW3: NDArray[np.uint8], true_HW3: NDArray[np.uint8]) -> dict[str, float]:
     """``psnr_db`` and ``ssim`` of one picture against another."""
-    guess, true = (
-        torch.from_numpy(np.array(image)).movedim(-1, 0)[None].float() / 255 for image in (guess_HW3, true_HW3)
+    return likeness(
+        *(torch.from_numpy(np.array(image)).movedim(-1, 0).float() / 255 for image in (guess_HW3, true_HW3))
     )
-    ssim = structural_similarity_index_measure(guess, true, data_range=1.0)
-    assert isinstance(ssim, Tensor)
-    return {"psnr_db": float(peak_signal_noise_ratio(guess, true, data_range=1.0)), "ssim": float(ssim)}
 
 
 def _detection(box_6: Floats, score: float, true_6: Floats | None, quality: tuple[float, float, float] | None) -> Row:

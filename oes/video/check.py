@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
+from oes.likeness import likeness
 from oes.video.clips import Clips
 from oes.video.foresight import VisualForesight, expected, unroll_pixels
 from oes.video.losses import draw_goals
@@ -36,7 +36,8 @@ def forecast_rows(
         )
         true = clip.frame_BI3HW[0]
         for T in HORIZONS:
-            figures = _quality(made[T - 1], true[T]) | {f"still_{k}": v for k, v in _quality(true[0], true[T]).items()}
+            still = {f"still_{name}": value for name, value in likeness(true[0], true[T]).items()}
+            figures = likeness(made[T - 1], true[T]) | still
             rows.append({"clip": i, "T": T, **figures, "error_mm": error_mm[T - 1], "still_mm": still_mm[T - 1]})
         if i < NUM_SHOWN:
             shown.append(torch.cat([torch.cat([*true], -1), torch.cat([true[0], *made], -1)], -2))
@@ -66,10 +67,3 @@ def _rewards(net: PlaNet, clip: Clips, view: OverheadView, seed: int) -> tuple[T
     to_mm = view.half_m * 1e3
     error_T, still_T = (rewards[0] + true_I[1:]).abs() * to_mm, (true_I[0] - true_I[1:]).abs() * to_mm
     return net.decode(features[0]), error_T.tolist(), still_T.tolist()
-
-
-def _quality(made_3HW: Tensor, true_3HW: Tensor) -> dict[str, float]:
-    made, true = made_3HW[None].clamp(0, 1), true_3HW[None]
-    ssim = structural_similarity_index_measure(made, true, data_range=1.0)
-    assert isinstance(ssim, Tensor)
-    return {"psnr_db": float(peak_signal_noise_ratio(made, true, data_range=1.0)), "ssim": float(ssim)}
