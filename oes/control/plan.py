@@ -81,6 +81,13 @@ class Judged:
         """Numbers of the ``count`` cheapest, in order."""
         return self.cost_S.argsort()[:count]
 
+    def shortlisted(self, count: int) -> tuple[Proposals, Tensor]:
+        """The ``count`` cheapest, no longer than any of them needs, and after which step (from 0) each stops."""
+        best = self.best(count)
+        chosen = Proposals(**{name: value[best] for name, value in vars(self.proposals).items()})
+        steps = int(self.stop_S[best].max()) + 1
+        return replace(chosen, actions_SH3=chosen.actions_SH3[:, :steps]), self.stop_S[best]
+
     def plan(self, i: int) -> Plan:
         """One of them, up to where it costs least."""
         steps = int(self.stop_S[i]) + 1
@@ -115,7 +122,8 @@ def search(
     for _ in range(rounds):
         judged = _judged(propose(drawn), unroll, cost)
         if risk is not None:
-            judged = _judged_again(judged, judged.best(risk.shortlist), unroll, cost, risk)
+            proposals, stop_S = judged.shortlisted(risk.shortlist)
+            judged = _judged(proposals, unroll, cost, risk.futures, risk.aversion, stop_S)
         order = judged.best(elites)
         if best is None or judged.cost_S[order[0]] < best.cost:
             best = judged.plan(int(order[0]))
@@ -125,20 +133,18 @@ def search(
     return best
 
 
-def _judged(proposals: Proposals, unroll: Unroll, cost: Cost) -> Judged:
-    """Every plan in one future."""
-    imagined = unroll(proposals, 1)
-    cost_SH = torch.nan_to_num(cost(imagined), nan=torch.inf)
+def _judged(
+    proposals: Proposals,
+    unroll: Unroll,
+    cost: Cost,
+    futures: int = 1,
+    aversion: float = 0.0,
+    stop_S: Tensor | None = None,
+) -> Judged:
+    """Every plan in so many futures. ``stop_S``: after which step (from 0) each ends at the latest."""
+    imagined = unroll(proposals, futures)
+    cost_SH = torch.nan_to_num(risk_averse(cost(imagined), imagined.draws, aversion), nan=torch.inf)
     assert cost_SH.shape == proposals.actions_SH3.shape[:2], cost_SH.shape
+    if stop_S is not None:
+        cost_SH = cost_SH.masked_fill(torch.arange(cost_SH.shape[1]) > stop_S[:, None], torch.inf)
     return Judged(proposals, imagined, *cost_SH.min(dim=1))
-
-
-def _judged_again(first: Judged, chosen_S: Tensor, unroll: Unroll, cost: Cost, risk: Risk) -> Judged:
-    """Some plans in several futures, none farther than to where it cost least; what comes after that is left out."""
-    stop_S1 = first.stop_S[chosen_S, None]
-    proposals = Proposals(**{name: value[chosen_S] for name, value in vars(first.proposals).items()})
-    proposals = replace(proposals, actions_SH3=proposals.actions_SH3[:, : int(stop_S1.max()) + 1])
-    is_after_SH = torch.arange(proposals.actions_SH3.shape[1]) > stop_S1
-    imagined = unroll(proposals, risk.futures)
-    cost_SH = torch.nan_to_num(risk_averse(cost(imagined), imagined.draws, risk.aversion), nan=torch.inf)
-    return Judged(proposals, imagined, *cost_SH.masked_fill(is_after_SH, torch.inf).min(dim=1))
