@@ -8,7 +8,7 @@ PROFILE ?= default
 VENV := $(CURDIR)/.venv
 READY := .venv/.ready-$(shell cksum < requirements.lock | cut -d' ' -f1)
 HERE := $(if $(filter default,$(PROFILE)),.,build/$(PROFILE))
-STAGES := meshes episodes perception objects dynamics rollouts futures frames video trials tables
+STAGES := meshes episodes perception objects dynamics rollouts futures overhead baselines trials tables
 
 export PATH := $(VENV)/bin:$(PATH)
 export DVC_NO_ANALYTICS := 1
@@ -24,10 +24,10 @@ help: ## list what can be made
 # DVC needs many seconds to find that nothing changed among thousands of files, so a glance at names, sizes and times
 # comes first. The code's is taken before the run: an edit made during the run is seen by the next.
 GLANCE = find $(1) -name __pycache__ -prune -o -not -type d -printf '%p %s %T@\n' | LC_ALL=C sort | cksum
-CODE = $(call GLANCE,pipeline.yaml params.yaml stages oes)
+CODE = $(call GLANCE,dvc.yaml params.yaml stages oes)
 DATA = $(call GLANCE,dvc.lock datasets reports)
 
-# DVC runs one stage after the other. The models of dynamics and video do not depend on each other and gain little from
+# DVC runs one stage after the other. The models of dynamics and baselines do not depend on each other and gain little from
 # a second thread, so each gets one core and they run side by side, and so does what is done with them; who finds DVC's
 # lock taken tries again. The alphabet backwards happens to begin with long ones, so no core is idle for long.
 LIST = dvc stage list --name-only | grep -E '^($(1))@' | sort -r
@@ -37,7 +37,7 @@ SIDE_BY_SIDE = OMP_NUM_THREADS=1 LOKY_MAX_CPU_COUNT=1 xargs -P $$(nproc) -n 1 ba
 all: profile ## the whole study, from meshes to reports/; what is up to date is not run again
 	@cd $(HERE) && code="$$($(CODE))" && done=.dvc/tmp/done && \
 	  if [ -f $$done ] && [ "$$code $$($(DATA))" = "$$(cat $$done)" ]; then echo 'Everything is up to date.'; \
-	  else dvc repro objects frames && $(call LIST,dynamics|video) | $(SIDE_BY_SIDE) && \
+	  else dvc repro objects overhead && $(call LIST,dynamics|baselines) | $(SIDE_BY_SIDE) && \
 	  $(call LIST,rollouts|futures|trials) | $(SIDE_BY_SIDE) && dvc repro && echo "$$code $$($(DATA))" > $$done; fi
 
 test: setup check ## everything that must be green before a commit, from a fresh clone on
@@ -60,8 +60,8 @@ objects: ## what perception sees in every episode
 dynamics: ## train every model of how objects move
 rollouts: ## every model's errors on held-out episodes
 futures: ## the future imagined, of scenes as they were and changed, as pictures from any side
-frames: ## what a camera above the table sees, for the baselines that forecast pictures
-video: ## train those: Visual Foresight and PlaNet
+overhead: ## images from a camera above the table, for the video-prediction baselines
+baselines: ## train Visual Foresight and PlaNet
 trials: ## pushing to targets, and around obstacles, in closed loop
 tables: ## reports/: tables, figures, metrics.json
 
@@ -69,18 +69,18 @@ $(STAGES): profile
 	@cd $(HERE) && dvc repro $@
 
 demo: setup ## plan and carry out one push with the weights in git; writes a video
-	@cd $(HERE) && python -m oes.demo
+	@cd $(HERE) && python -m oes.apps.demo
 
 EPISODE ?= .work/view/traj_000000
 view: setup ## look at an episode in the browser and drag its objects: make view [EPISODE=folder]
-	@cd $(HERE) && python -m oes.view --episode "$(EPISODE)"
+	@cd $(HERE) && python -m oes.apps.view --episode "$(EPISODE)"
 
 bench: setup ## speed of capture, perception and planning on this machine
 	@python -m benchmarks
 
 evaluate: setup ## Table 1 on your own meshes, no training: make evaluate MESHES=folder
 	@test -n "$(MESHES)" || { echo 'evaluate: say which meshes: make evaluate MESHES=folder'; exit 1; }
-	@cd $(HERE) && python -m oes.evaluate --meshes "$(abspath $(MESHES))"
+	@cd $(HERE) && python -m oes.apps.evaluate --meshes "$(abspath $(MESHES))"
 
 doctor: setup ## check every recorded episode
 	@cd $(HERE) && python -m oes.record.doctor datasets/episodes

@@ -1,4 +1,6 @@
-"""The alternative that was measured and not taken: ray casting with Embree, first hits only, nothing shaded."""
+"""The alternative that was measured and not taken: ray casting with Embree, first hits only,
+nothing shaded.
+"""
 
 from collections.abc import Sequence
 
@@ -15,9 +17,14 @@ CORNERS_83 = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(8, 3
 
 
 def cast(meshes: Sequence[RenderMesh], world_T_mesh_M44: Floats, cameras: Sequence[Camera]) -> int:
-    """Number of hits of all views; the table is left out (it is analytic), rays only inside each mesh's rectangle."""
+    """Number of hits of all views; the table is left out (it is analytic), rays only inside each
+    mesh's rectangle.
+    """
     drawn = [mesh for mesh in meshes if mesh.seg_id != SEG_TABLE]
-    points = [transform(world_T_mesh_M44[mesh.pose_i], mesh.vertices_P3.astype(np.float64)) for mesh in drawn]
+    points = [
+        transform(world_T_mesh_M44[mesh.pose_i], mesh.vertices_P3.astype(np.float64))
+        for mesh in drawn
+    ]
     triangles = [vertices[mesh.faces_F3] for vertices, mesh in zip(points, drawn, strict=True)]
     scene = rtcore_scene.EmbreeScene()
     TriangleMesh(scene, np.concatenate(triangles).astype(np.float32))
@@ -32,7 +39,9 @@ def _hits(scene: rtcore_scene.EmbreeScene, corners_M83: Floats, camera: Camera) 
     wanted = np.zeros((camera.height_px, camera.width_px), bool)
     for corners, near in zip(uv, depth.min(axis=1), strict=True):
         low, high = (
-            np.clip([corners.min(0), corners.max(0) + 1], 0, limit).astype(int) if near > 0 else (0 * limit, limit)
+            np.clip([corners.min(0), corners.max(0) + 1], 0, limit).astype(int)
+            if near > 0
+            else (0 * limit, limit)
         )
         wanted[low[1] : high[1], low[0] : high[0]] = True
     v, u = np.nonzero(wanted)

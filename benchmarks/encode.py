@@ -1,4 +1,6 @@
-"""Milliseconds from images to objects with one and with three views: encode, detect, masks and crops of two objects."""
+"""Milliseconds from images to objects with one and with three views: encode, detect, masks and
+crops of two objects.
+"""
 
 import argparse
 import time
@@ -11,9 +13,9 @@ import torch
 from oes.config import load
 from oes.episode import Camera, Frames
 from oes.geom.camera import intrinsics, look_at
-from oes.percept.network import PerceptionNet
-from oes.percept.perceiver import Perceiver
-from oes.percept.train import Perception
+from oes.perception.network import PerceptionNet
+from oes.perception.perceiver import Perceiver
+from oes.perception.train import PerceptionConfig
 
 VIEWS = (1, 3)
 IMAGE_PX = 128
@@ -25,7 +27,13 @@ def views(count: int) -> tuple[Frames, list[Camera]]:
     target, shape = np.array([0.0, 0.0, 0.1]), (count, IMAGE_PX, IMAGE_PX)
     eyes = [np.array([np.cos(a) * 0.77, np.sin(a) * 0.77, 0.74]) for a in np.linspace(-1, 1, count)]
     cameras = [
-        Camera(f"cam_{i}", intrinsics(42.0, IMAGE_PX, IMAGE_PX), look_at(eye, target), IMAGE_PX, IMAGE_PX)
+        Camera(
+            f"cam_{i}",
+            intrinsics(42.0, IMAGE_PX, IMAGE_PX),
+            look_at(eye, target),
+            IMAGE_PX,
+            IMAGE_PX,
+        )
         for i, eye in enumerate(eyes)
     ]
     depth = np.full(shape, 1.05, np.float32)
@@ -46,11 +54,17 @@ def main() -> None:
     """Print one line for each number of views."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--params", type=Path, default=Path("params.yaml"))
-    cfg = load(parser.parse_args().params, "perception", Perception)
+    cfg = load(parser.parse_args().params, "perception", PerceptionConfig)
     torch.manual_seed(0)
     seer = Perceiver(PerceptionNet(cfg.network), torch.device("cpu"))
-    boxes = torch.tensor([[0.0, 0.1, 0.03], [0.0, -0.1, 0.03]]), torch.full((2, 3), 0.1), torch.ones(2)
-    print(f"{'views':<8}{'encode ms':>12}{'detect ms':>12}{'objects ms':>12}   ({torch.get_num_threads()} threads)")
+    boxes = (
+        torch.tensor([[0.0, 0.1, 0.03], [0.0, -0.1, 0.03]]),
+        torch.full((2, 3), 0.1),
+        torch.ones(2),
+    )
+    print(
+        f"{'views':<8}{'encode ms':>12}{'detect ms':>12}{'objects ms':>12}   ({torch.get_num_threads()} threads)"
+    )
     for count in VIEWS:
         frames, cameras = views(count)
         scene = seer.encode(frames, cameras)

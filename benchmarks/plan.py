@@ -1,4 +1,6 @@
-"""Milliseconds to imagine a set of plans with each model, from appearance on: 30 plans of 1 step, 60 of 10 steps."""
+"""Milliseconds to imagine a set of plans with each model, from appearance on: 30 plans of 1 step,
+60 of 10 steps.
+"""
 
 import argparse
 import time
@@ -8,18 +10,25 @@ import torch
 
 from oes.config import load
 from oes.dynamics import MODELS
-from oes.dynamics.models import Learned, Seen
-from oes.dynamics.train import Tasks
-from oes.dynamics.unroll import Model, at_rest, unroll_from
+from oes.dynamics.models import GraphModel, InputSpec
+from oes.dynamics.train import DynamicsConfig
+from oes.dynamics.unroll import DynamicsModel, initial_state, unroll_from
 from oes.objects import Objects
 
 PLANS = ((30, 1), (60, 10))
 NUM_OBJECTS = 2
 REPEATS = 50
-SEEN = Seen(crop_channels=11, crop_side=16, voxel_m=0.01, image_side_px=32, outline_rows=10, outline_directions=64)
+SEEN = InputSpec(
+    crop_channels=11,
+    crop_side=16,
+    voxel_m=0.01,
+    image_side_px=32,
+    outline_rows=10,
+    outline_directions=64,
+)
 
 
-def scene(seen: Seen) -> Objects:
+def scene(seen: InputSpec) -> Objects:
     """One scene of two objects and one view."""
     shape = (1, NUM_OBJECTS)
     return Objects(
@@ -28,23 +37,31 @@ def scene(seen: Seen) -> Objects:
         score_N=torch.ones(shape),
         valid_N=torch.ones(shape, dtype=torch.bool),
         crop_NCXYZ=torch.rand(*shape, seen.crop_channels, *[seen.crop_side] * 3),
-        image_NV3HW=torch.zeros(*shape, 1, 3, seen.image_side_px, seen.image_side_px, dtype=torch.uint8),
+        image_NV3HW=torch.zeros(
+            *shape, 1, 3, seen.image_side_px, seen.image_side_px, dtype=torch.uint8
+        ),
         camera_NV12=torch.zeros(*shape, 1, 12),
         view_NV=torch.ones(*shape, 1, dtype=torch.bool),
-        outline_NRK3=torch.tensor([0.035, 0.002, 1.0]).expand(*shape, seen.outline_rows, seen.outline_directions, 3),
+        outline_NRK3=torch.tensor([0.035, 0.002, 1.0]).expand(
+            *shape, seen.outline_rows, seen.outline_directions, 3
+        ),
         mass_N3=torch.zeros(*shape, 3),
     )
 
 
 @torch.inference_mode()
-def plan_ms(model: Model, objects: Objects, samples: int, horizon: int) -> float:
-    """Median time to read the appearance once and unroll ``samples`` sequences of ``horizon`` actions."""
+def plan_ms(model: DynamicsModel, objects: Objects, samples: int, horizon: int) -> float:
+    """Median time to read the appearance once and unroll ``samples`` sequences of ``horizon``
+    actions.
+    """
     actions = torch.randn(samples, horizon, 3) * 0.04
     tip, times = torch.zeros(samples, 3), []
     for _ in range(REPEATS):
         start = time.perf_counter()
         appearance = model.appearance(objects)
-        state = at_rest(*(x.expand(samples, *x.shape[1:]) for x in (objects.center_N3, objects.valid_N)))
+        state = initial_state(
+            *(x.expand(samples, *x.shape[1:]) for x in (objects.center_N3, objects.valid_N))
+        )
         unroll_from(model, appearance.expand(samples, *appearance.shape[1:]), state, tip, actions)
         times.append((time.perf_counter() - start) * 1e3)
     return sorted(times)[REPEATS // 2]
@@ -54,16 +71,20 @@ def main() -> None:
     """Print one line a model."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--params", type=Path, default=Path("params.yaml"))
-    cfg = load(parser.parse_args().params, "dynamics", Tasks).pushing
+    cfg = load(parser.parse_args().params, "dynamics", DynamicsConfig).pushing
     torch.manual_seed(0)
     objects = scene(SEEN)
     print(
-        f"{'model':<24}" + "".join(f"{f'{s}x{h} ms':>12}" for s, h in PLANS) + f"   ({torch.get_num_threads()} threads)"
+        f"{'model':<24}"
+        + "".join(f"{f'{s}x{h} ms':>12}" for s, h in PLANS)
+        + f"   ({torch.get_num_threads()} threads)"
     )
     for word, kind in MODELS.items():
-        if issubclass(kind, Learned):
+        if issubclass(kind, GraphModel):
             model = kind(cfg.net, SEEN).eval()
-            print(f"{word:<24}" + "".join(f"{plan_ms(model, objects, s, h):>12.1f}" for s, h in PLANS))
+            print(
+                f"{word:<24}" + "".join(f"{plan_ms(model, objects, s, h):>12.1f}" for s, h in PLANS)
+            )
 
 
 if __name__ == "__main__":

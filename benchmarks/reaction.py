@@ -1,4 +1,6 @@
-"""Milliseconds until the viewer has drawn what a drag changed: to forecast, to decode the picture, and all of it."""
+"""Milliseconds until the viewer has drawn what a drag changed: to forecast, to decode the picture,
+and all of it.
+"""
 
 from functools import partial
 
@@ -6,24 +8,29 @@ import torch
 import viser
 
 from benchmarks.whole_plan import median_ms
-from oes.browse.viewer import Viewer
+from oes.apps.demo import find_catalogue
+from oes.apps.view import SPARE, ViewConfig, open_session, record_spare
+from oes.apps.viewer.viewer import Viewer
 from oes.config import load
-from oes.demo import find_catalogue
-from oes.sim.simulate import Episodes
+from oes.sim.simulate import EpisodesConfig
 from oes.stage import PARAMS
-from oes.view import SPARE, View, open_session, record_spare
 
 
 def main() -> None:
     """Print one line. An episode with two objects is recorded where there is none."""
-    cfg, catalogue = load(PARAMS, "episodes", Episodes), find_catalogue()
+    cfg, catalogue = load(PARAMS, "episodes", EpisodesConfig), find_catalogue()
     record_spare(catalogue, cfg)
-    session = open_session(SPARE, load(PARAMS, "view", View).camera)
+    session = open_session(SPARE, load(PARAMS, "view", ViewConfig).camera)
     viewer = Viewer(viser.ViserServer(port=0, verbose=False), session, catalogue, cfg.sim)
     case, motion = session.forecast()
     camera = case.episode.steps[0].cameras[0]
-    forecast, picture = median_ms(session.forecast), median_ms(partial(session.imagined, case, motion, 5, camera))
-    print(f"{'forecast ms':>12}{'picture ms':>12}{'all ms':>12}   ({torch.get_num_threads()} threads)")
+    forecast, picture = (
+        median_ms(session.forecast),
+        median_ms(partial(session.imagined, case, motion, 5, camera)),
+    )
+    print(
+        f"{'forecast ms':>12}{'picture ms':>12}{'all ms':>12}   ({torch.get_num_threads()} threads)"
+    )
     print(f"{forecast:>12.0f}{picture:>12.0f}{median_ms(viewer.update):>12.0f}")
 
 

@@ -1,4 +1,6 @@
-"""The renderer that ours is measured against: Bullet's TinyRenderer, called once a view, on the same triangles."""
+"""The renderer that ours is measured against: Bullet's TinyRenderer, called once a view, on the
+same triangles.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,17 +20,26 @@ NEAR_M, FAR_M = 0.1, 5.0
 
 
 class TinyScene:
-    """A context manager with meshes posed in a Bullet client of its own; shadows off, segmentation on."""
+    """A context manager with meshes posed in a Bullet client of its own; shadows off, segmentation
+    on.
+    """
 
-    def __init__(self, meshes: Sequence[RenderMesh], world_T_mesh_M44: Floats, folder: Path) -> None:
+    def __init__(
+        self, meshes: Sequence[RenderMesh], world_T_mesh_M44: Floats, folder: Path
+    ) -> None:
         self._client = pybullet.connect(pybullet.DIRECT)
-        self._seg_of = np.zeros(len(meshes) + 1, np.uint8)  # by body; the last entry is no body (-1)
+        self._seg_of = np.zeros(
+            len(meshes) + 1, np.uint8
+        )  # by body; the last entry is no body (-1)
         for mesh_i, mesh in enumerate(meshes):
             path = folder / f"{mesh_i}.obj"
             triangles = trimesh.Trimesh(mesh.vertices_P3, mesh.faces_F3, process=False)
             path.write_text(trimesh.exchange.obj.export_obj(triangles, digits=9))
             shape = pybullet.createVisualShape(
-                pybullet.GEOM_MESH, fileName=str(path), rgbaColor=[0.5, 0.5, 0.5, 1], physicsClientId=self._client
+                pybullet.GEOM_MESH,
+                fileName=str(path),
+                rgbaColor=[0.5, 0.5, 0.5, 1],
+                physicsClientId=self._client,
             )
             T = world_T_mesh_M44[mesh.pose_i]
             pose = T[:3, 3].tolist(), quat_xyzw(T[:3, :3]).tolist()
@@ -39,7 +50,10 @@ class TinyScene:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         pybullet.disconnect(self._client)
 
@@ -79,7 +93,8 @@ def gl_matrices(camera: Camera) -> tuple[Floats, Floats]:
 def as_tiny_samples(camera: Camera) -> Camera:
     """The camera with which TinyRenderer sees at its pixels what ours sees at ours.
 
-    It samples at a pixel's left lower corner, not at its centre, so its image has to move by half a pixel each way.
+    It samples at a pixel's left lower corner, not at its centre, so its image has to move by half a
+    pixel each way.
     """
     K_33 = camera.K_33.copy()
     K_33[:2, 2] += [-0.5, 0.5]
@@ -87,9 +102,13 @@ def as_tiny_samples(camera: Camera) -> Camera:
 
 
 def parity(ours: Frames, tiny: Frames) -> tuple[float, float]:
-    """Median depth difference (mm) where both see the same thing away from its edges, and the share of equal ids."""
+    """Median depth difference (mm) where both see the same thing away from its edges, and the share
+    of equal ids.
+    """
     same = ours.seg_VHW == tiny.seg_VHW
     inside = same & (ours.seg_VHW > 0)
     for axis, shift in ((1, 1), (1, -1), (2, 1), (2, -1)):
         inside &= ours.seg_VHW == np.roll(ours.seg_VHW, shift, axis)
-    return 1000 * float(np.median(np.abs(ours.depth_m_VHW - tiny.depth_m_VHW)[inside])), float(same.mean())
+    return 1000 * float(np.median(np.abs(ours.depth_m_VHW - tiny.depth_m_VHW)[inside])), float(
+        same.mean()
+    )

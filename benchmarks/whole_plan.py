@@ -1,4 +1,6 @@
-"""Milliseconds of one step of a trial around an obstacle, from the photograph on: to see, and to plan."""
+"""Milliseconds of one step of a trial around an obstacle, from the photograph on: to see, and to
+plan.
+"""
 
 import statistics
 import time
@@ -9,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from oes.apps.demo import find_catalogue
+from oes.apps.evaluate import KEPT, TRAINED, find_weights
 from oes.config import load
-from oes.demo import find_catalogue
-from oes.evaluate import KEPT, TRAINED, find_weights
-from oes.percept.perceiver import Perceiver
+from oes.perception.perceiver import Perceiver
 from oes.sim.pushing import PushWorld
-from oes.trial.contest import CAMERAS, PLANS, TASKS, Photographer, Trials, make_planner
-from oes.trial.minds import load_mind
-from oes.trial.task import draw_task, generator
+from oes.trials.runner import CAMERAS, PLANS, TASKS, CameraSensor, TrialsConfig, make_planner
+from oes.trials.task import draw_task, generator
+from oes.trials.world_models import load_world_model
 
 SCENARIO, MODELS, REPEATS = "obstacle", ("contact", "oes", "graph_xyz"), 10
 
@@ -32,8 +34,10 @@ def median_ms(call: Callable[[], object]) -> float:
 
 
 def main() -> None:
-    """Print one line a model: median time to see, and to plan as each planner of the scenario does."""
-    cfg = load(Path("params.yaml"), "trials", Trials)
+    """Print one line a model: median time to see, and to plan as each planner of the scenario
+    does.
+    """
+    cfg = load(Path("params.yaml"), "trials", TrialsConfig)
     scenario, catalogue = cfg.scenarios[SCENARIO], find_catalogue()
     perception, dynamics = find_weights((TRAINED, KEPT), MODELS)
     eyes = Perceiver.load(perception)
@@ -41,17 +45,23 @@ def main() -> None:
     with PushWorld(catalogue, cfg.sim, scenario.settle_ms) as world:
         world.reset(task.bodies, task.world_T_obj_N44, task.tip_xy_m)
         step = world.step_now(generator(cfg.seed, "bench", 0, CAMERAS))
-    photos = Photographer(catalogue, cfg.sim, task.bodies)(step, step.cameras[0])
+    photos = CameraSensor(catalogue, cfg.sim, task.bodies)(step, step.cameras[0])
     size_N3 = np.full_like(task.center_N3, cfg.planning.track.unseen_size_m)
-    names = [f"{name} {s.rounds}x{s.candidates}x{s.horizon_steps}" for name, s in scenario.planners.items()]
+    names = [
+        f"{name} {s.rounds}x{s.candidates}x{s.horizon_steps}"
+        for name, s in scenario.planners.items()
+    ]
     head = "".join(f"{name + ' ms':>24}" for name in names)
     print(f"{'model':<12}{'see ms':>10}{head}   ({torch.get_num_threads()} threads)")
     for word in MODELS:
-        planner = make_planner(cfg, eyes, load_mind(dynamics[word]))
+        planner = make_planner(cfg, eyes, load_world_model(dynamics[word]))
         belief = planner.perceive(photos, task.center_N3, size_N3)
         see = median_ms(partial(planner.perceive, photos, task.center_N3, size_N3))
         rng = generator(cfg.seed, "bench", 0, PLANS)
-        plans = [median_ms(partial(planner.choose, belief, task.goal_G3, s, rng)) for s in scenario.planners.values()]
+        plans = [
+            median_ms(partial(planner.choose, belief, task.goal_G3, s, rng))
+            for s in scenario.planners.values()
+        ]
         print(f"{word:<12}{see:>10.0f}" + "".join(f"{ms:>24.0f}" for ms in plans))
 
 

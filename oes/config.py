@@ -1,14 +1,24 @@
 """params.yaml: one section -> one frozen, strictly typed dataclass.
 
-A number exists once, in params.yaml; Python has no defaults. A key that is unknown, missing or of the wrong
-type is an error that names the file and the dotted key, as in ``params.yaml: rollouts.noise_m``.
+A number exists once, in params.yaml; Python has no defaults. A key that is unknown, missing or of
+the wrong type is an error that names the file and the dotted key, as in ``params.yaml:
+rollouts.noise_m``.
 """
 
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, cast, dataclass_transform, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    TypeVar,
+    cast,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import yaml
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -17,34 +27,59 @@ from pydantic_core import ErrorDetails
 
 Params = TypeVar("Params")
 
+SHARED = "a section of its own"
+Shared = Annotated[Params, SHARED]
+"""Type of a field whose value stands once in params.yaml, in a section named like the field."""
+
 KEY_ERRORS = {"unexpected_keyword_argument": "unknown key", "missing": "missing"}
 
 
 class ParamsError(ValueError):
-    """A params section, or a config stored beside weights, that is not what its dataclass asks for."""
+    """A params section, or a config stored beside weights, that is not what its dataclass asks
+    for.
+    """
 
 
 @dataclass_transform(frozen_default=True)
 def params(cls: type[Params]) -> type[Params]:
-    """Make a class a frozen dataclass that refuses unknown keys, missing keys and ill-typed values."""
+    """Make a class a frozen dataclass that refuses unknown keys, missing keys and ill-typed
+    values.
+    """
     config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
     made: Any = dataclass(frozen=True, config=config)(cls)
     return cast(type[Params], made)
 
 
-def load(path: Path, section: str, cls: type[Params]) -> Params:
-    """Read one section of a YAML file into ``cls``. YAML lists become tuples, ints pass as floats, text never does.
+def shared_sections(cls: type) -> list[str]:
+    """Names of the fields of a section's class that are sections of their own."""
+    hints = get_type_hints(cls, include_extras=True)
+    return [name for name, hint in hints.items() if SHARED in getattr(hint, "__metadata__", ())]
 
-    Raises ParamsError naming the file, the dotted key, what is wrong and, for a stray or missing key, the valid ones.
+
+def load(path: Path, section: str, cls: type[Params]) -> Params:
+    """Read one section of a YAML file into ``cls``. YAML lists become tuples and ints pass as
+    floats; text is never converted. A ``Shared`` field is filled from the section of its name.
+
+    Raises ParamsError naming the file, the dotted key, the problem and, for a stray or missing
+    key, the valid ones.
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParamsError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from error
+        raise ParamsError(
+            f"{path}: not readable as YAML: {' '.join(str(error).split())}"
+        ) from error
     if not isinstance(content, dict) or section not in content:
         raise ParamsError(f"{path}: has no section '{section}'; it has: {_listed(content)}")
+    values = content[section]
+    for name in shared_sections(cls):
+        if name not in content:
+            raise ParamsError(f"{path}: has no section '{name}'; it has: {_listed(content)}")
+        if name in values:
+            raise ParamsError(f"{path}: {section}.{name}: set it in the section '{name}'")
+        values = {**values, name: content[name]}
     try:
-        text = json.dumps(content[section], allow_nan=False)
+        text = json.dumps(values, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ParamsError(f"{path}: {section}: {error}") from error
     return _validated(text, cls, str(path), section)
@@ -56,7 +91,9 @@ def to_json(cfg: object) -> str:
 
 
 def from_json(text: str, cls: type[Params], source: str = "stored config") -> Params:
-    """The inverse of ``to_json``. Raises ParamsError (naming ``source``) when the text does not fit ``cls``."""
+    """The inverse of ``to_json``. Raises ParamsError (naming ``source``) when the text does not fit
+    ``cls``.
+    """
     return _validated(text, cls, source, "")
 
 
@@ -66,7 +103,11 @@ def _validated(text: str, cls: type[Params], source: str, section: str) -> Param
     except ValidationError as error:
         errors = error.errors(include_url=False)
         problems = [_problem(details, section) for details in errors]
-        valid = [_valid_keys(cls, details["loc"][:-1], section) for details in errors if details["type"] in KEY_ERRORS]
+        valid = [
+            _valid_keys(cls, details["loc"][:-1], section)
+            for details in errors
+            if details["type"] in KEY_ERRORS
+        ]
         raise ParamsError(f"{source}: " + "; ".join(dict.fromkeys(problems + valid))) from error
 
 
@@ -87,7 +128,11 @@ def _valid_keys(cls: Any, loc: Sequence[int | str], section: str) -> str:
     """What may be written in the dataclass found by following ``loc`` down from ``cls``."""
     for part in loc:
         cls = _inside(cls, part)
-    names = ", ".join(field.name for field in dataclasses.fields(cls)) if dataclasses.is_dataclass(cls) else "(none)"
+    names = (
+        ", ".join(field.name for field in dataclasses.fields(cls))
+        if dataclasses.is_dataclass(cls)
+        else "(none)"
+    )
     return f"valid keys{' of ' if section or loc else ''}{_dotted(section, loc)}: {names}"
 
 
@@ -96,7 +141,9 @@ def _dotted(section: str, loc: Sequence[int | str]) -> str:
 
 
 def _inside(cls: Any, part: int | str) -> Any:
-    """The type of one member of ``cls``: a dataclass's field, or what a dict, tuple or union holds."""
+    """The type of one member of ``cls``: a dataclass's field, or what a dict, tuple or union
+    holds.
+    """
     if dataclasses.is_dataclass(cls):
         return get_type_hints(cls).get(str(part))
     args = get_args(cls)

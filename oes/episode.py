@@ -15,7 +15,9 @@ SEG_NOTHING, SEG_TABLE, SEG_ROBOT, SEG_FIRST_OBJECT = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera. ``K_33`` maps cam rays to pixels (pix frame), ``world_T_cam_44`` its pose."""
+    """A pinhole camera. ``K_33`` maps cam rays to pixels (pix frame), ``world_T_cam_44`` its
+    pose.
+    """
 
     name: str
     K_33: Floats
@@ -26,7 +28,9 @@ class Camera:
 
 @dataclass(frozen=True)
 class Body:
-    """One object of an episode: a catalogue mesh, scaled along its own axes, with its physics and texture."""
+    """One object of an episode: a catalogue mesh, scaled along its own axes, with its physics and
+    texture.
+    """
 
     mesh: str
     category: str
@@ -41,9 +45,9 @@ class Step:
     """The true state of the world at one recorded instant.
 
     ``center_N3`` and ``size_N3`` are the axis-aligned hull (world axes) of each posed mesh.
-    ``touched_MM`` says which of the M = N + 2 things (table, robot, objects in order) were in contact
-    at any moment since the previous recorded state (at the first state: all False).
-    Where there is no robot the tip is NaN, and J and L are 0.
+    ``touched_MM`` says which of the M = N + 2 things (table, robot, objects in order) were in
+    contact at any moment since the previous recorded state (at the first state: all False). Where
+    there is no robot the tip is NaN, and J and L are 0.
     """
 
     t_ns: int
@@ -59,7 +63,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Frames:
-    """Images of one state from V cameras: RGB, z-depth in metres (0 = no return), segmentation ids."""
+    """Images of one state from V cameras: RGB, z-depth in metres (0 = no return), segmentation
+    ids.
+    """
 
     rgb_VHW3: NDArray[np.uint8]
     depth_m_VHW: NDArray[np.float32]
@@ -73,10 +79,11 @@ class Frames:
 
 @dataclass(frozen=True)
 class Episode:
-    """One trajectory: T + 1 states and the T actions between them (horizontal tip displacements, metres).
+    """One trajectory: T + 1 states and the T actions between them (horizontal tip displacements,
+    metres).
 
-    ``rod_rms_m`` is the RMS distance of the rod's tip from its commanded path over the simulation steps. Without a
-    robot it is NaN, and the actions are 0: time alone passes.
+    ``rod_rms_m`` is the RMS distance of the rod's tip from its commanded path over the simulation
+    steps. Without a robot it is NaN, and the actions are 0: time alone passes.
     """
 
     task: str

@@ -1,8 +1,10 @@
-"""Running a stage: params section -> cfg, flags -> paths; and outputs that appear whole and survive a kill.
+"""Running a stage: params section -> cfg, flags -> paths; and outputs that appear whole and survive
+a kill.
 
-A long stage keeps its progress in ``.work/<stage>/<instance>/<stamp>/``, outside its output, and publishes it by
-rename at the end. The stamp is a digest of everything the work depends on (config, code, inputs): work begun under
-another stamp is deleted, so a resumed stage can never mix old shards with new ones.
+A long stage keeps its progress in ``.work/<stage>/<instance>/<stamp>/``, outside its output, and
+publishes it by rename at the end. The stamp is a digest of everything the work depends on (config,
+code, inputs): work begun under another stamp is deleted, so a resumed stage can never mix old
+shards with new ones.
 """
 
 import ast
@@ -32,22 +34,29 @@ STAMPS = r"[0-9a-f]{16}|replaced"
 
 
 class StageError(ValueError):
-    """A stage that cannot run as asked: bad flags of ``work_dir``, or another process is at the same work."""
+    """A stage that cannot run as asked: bad flags of ``work_dir``, or another process is at the
+    same work.
+    """
 
 
 def run(main: Callable[..., None]) -> None:
     """Call a stage's ``main(cfg, flag, ...)``; the entry point of every module in ``stages``.
 
-    ``cfg`` is the section of params.yaml named like the module, read as main's first annotation; the other arguments
-    are required ``--flags``, each a Path or a str. Expected errors (a ValueError of a class of its own, a missing
-    file) and ctrl-C exit with status 1 and one line; anything else is a bug and keeps its traceback.
+    ``cfg`` is the section of params.yaml named like the module, read as main's first annotation;
+    the other arguments are required ``--flags``, each a Path or a str. Expected errors (a
+    ValueError of a class of its own, a missing file) and ctrl-C exit with status 1 and one line;
+    anything else is a bug and keeps its traceback.
     """
     word = Path(inspect.getfile(main)).stem
     hints = {name: hint for name, hint in get_type_hints(main).items() if name != "return"}
     (cfg_name, cfg_class), *flags = hints.items()
-    parser = ArgumentParser(prog=f"python -m stages.{word}", description=sys.modules[main.__module__].__doc__)
+    parser = ArgumentParser(
+        prog=f"python -m stages.{word}", description=sys.modules[main.__module__].__doc__
+    )
     for name, kind in flags:
-        parser.add_argument(f"--{name}", required=True, type=kind, metavar="PATH" if kind is Path else "WORD")
+        parser.add_argument(
+            f"--{name}", required=True, type=kind, metavar="PATH" if kind is Path else "WORD"
+        )
     given = vars(parser.parse_args())
     logging.basicConfig(level=logging.WARNING, format=f"{word}: %(message)s")
     for name in ("oes", "stages", "__main__"):
@@ -66,11 +75,13 @@ def run(main: Callable[..., None]) -> None:
 
 @contextmanager
 def work_dir(out: Path, stamp_of: Sequence[object]) -> Iterator[Path]:
-    """A folder for the unfinished ``out``, on the same filesystem, found again by the next run with the same stamp.
+    """A folder for the unfinished ``out``, on the same filesystem, found again by the next run with
+    the same stamp.
 
-    ``stamp_of`` is everything the work depends on, besides code: ``(cfg, [input paths], words...)``. The code that
-    cfg's class and the running stage reach is added. Work under other stamps is deleted; so is, on leaving without an
-    error, what ``publish`` left. Raises StageError when another process works on the same output.
+    ``stamp_of`` is everything the work depends on, besides code: ``(cfg, [input paths],
+    words...)``. The code that cfg's class and the running stage reach is added. Work under other
+    stamps is deleted; so is, on leaving without an error, what ``publish`` left. Raises StageError
+    when another process works on the same output.
     """
     stamp = _stamp(stamp_of)
     home = _work_home(out)
@@ -79,7 +90,9 @@ def work_dir(out: Path, stamp_of: Sequence[object]) -> Iterator[Path]:
         _take(lock.fileno(), out)
         for other in home.iterdir():
             if other.name != stamp and re.fullmatch(STAMPS, other.name):
-                log.info("%s: settings, code or inputs changed: earlier unfinished work is dropped", out)
+                log.info(
+                    "%s: settings, code or inputs changed: earlier unfinished work is dropped", out
+                )
                 shutil.rmtree(other)
         work = home / stamp
         if work.exists():
@@ -90,7 +103,9 @@ def work_dir(out: Path, stamp_of: Sequence[object]) -> Iterator[Path]:
 
 
 def publish(work: Path, out: Path) -> None:
-    """Rename the finished ``work``, or a folder in it, to ``out``, which appears whole; an earlier one is replaced."""
+    """Rename the finished ``work``, or a folder in it, to ``out``, which appears whole; an earlier
+    one is replaced.
+    """
     old = work.with_name("replaced")
     if out.exists():
         os.replace(out, old)
@@ -100,9 +115,11 @@ def publish(work: Path, out: Path) -> None:
 
 
 def reached(start: Iterable[Path], root: Path) -> set[Path]:
-    """The files of ``oes`` and ``stages`` under ``root`` that importing ``start`` may execute, lazy imports too.
+    """The files of ``oes`` and ``stages`` under ``root`` that importing ``start`` may execute, lazy
+    imports too.
 
-    Judged from the source alone (``ast``), so that it does not depend on what this process happens to have imported.
+    Judged from the source alone (``ast``), so that it does not depend on what this process happens
+    to have imported.
     """
     found: set[Path] = set()
     left = [path.resolve() for path in start]
@@ -115,7 +132,9 @@ def reached(start: Iterable[Path], root: Path) -> set[Path]:
 
 
 def imports(path: Path) -> set[str]:
-    """Every dotted name that a source file imports, anywhere in it; ``from a import b`` gives ``a`` and ``a.b``."""
+    """Every dotted name that a source file imports, anywhere in it; ``from a import b`` gives ``a``
+    and ``a.b``.
+    """
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
         if isinstance(node, ast.Import):
@@ -126,10 +145,11 @@ def imports(path: Path) -> set[str]:
 
 
 def digest(path: Path) -> str:
-    """A cheap digest of a file or folder: names, sizes, and the first and last 64 KiB of every file.
+    """A cheap digest of a file or folder: names, sizes, and the first and last 64 KiB of every
+    file.
 
-    The ends are enough: small files lie in them whole, an MCAP file ends in its checksums and chunk index, and
-    retrained weights differ from their first tensor on.
+    The ends are enough: small files lie in them whole, an MCAP file ends in its checksums and chunk
+    index, and retrained weights differ from their first tensor on.
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such input")
@@ -158,12 +178,16 @@ def _stamp(stamp_of: Sequence[object]) -> str:
             case _ if dataclasses.is_dataclass(item) and not isinstance(item, type):
                 parts += [to_json(item), _code_digest(type(item))]
             case _:
-                raise StageError(f"stamp_of: {item!r} is neither a params dataclass, a Path, a word nor a list of them")
+                raise StageError(
+                    f"stamp_of: {item!r} is neither a params dataclass, a Path, a word nor a list of them"
+                )
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 
 def _code_digest(cls: type) -> str:
-    """Digest of the source that the class's module reaches, and the running stage's, if a stage runs."""
+    """Digest of the source that the class's module reaches, and the running stage's, if a stage
+    runs.
+    """
     root = Path(__file__).resolve().parents[1]
     start = [Path(inspect.getfile(cls))]
     spec = getattr(sys.modules["__main__"], "__spec__", None)
@@ -176,7 +200,9 @@ def _code_digest(cls: type) -> str:
 
 
 def _modules(name: str, root: Path) -> list[Path]:
-    """The files executed by importing a dotted name of ours: the module and the ``__init__`` of every package above."""
+    """The files executed by importing a dotted name of ours: the module and the ``__init__`` of
+    every package above.
+    """
     parts = name.split(".")
     if parts[0] not in ("oes", "stages"):
         return []
@@ -186,7 +212,9 @@ def _modules(name: str, root: Path) -> list[Path]:
 
 
 def _work_home(out: Path) -> Path:
-    """``datasets/episodes/pushing-train`` -> ``.work/episodes/pushing-train``; beside ``out`` when that is not here."""
+    """``datasets/episodes/pushing-train`` -> ``.work/episodes/pushing-train``; beside ``out`` when
+    that is not here.
+    """
     here, there = Path.cwd(), out.absolute()
     if there.is_relative_to(here) and len(there.relative_to(here).parts) > 1:
         return here.joinpath(".work", *there.relative_to(here).parts[1:])
@@ -194,11 +222,15 @@ def _work_home(out: Path) -> Path:
 
 
 def _take(lock_fd: int, out: Path) -> None:
-    """Hold the lock for as long as the file is open; it is released by the system when the process dies."""
+    """Hold the lock for as long as the file is open; it is released by the system when the process
+    dies.
+    """
     try:
         fcntl.flock(lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         owner = os.pread(lock_fd, 32, 0).decode() or "another process"
-        raise StageError(f"{out} is already being made by process {owner}: wait for it or stop it") from error
+        raise StageError(
+            f"{out} is already being made by process {owner}: wait for it or stop it"
+        ) from error
     os.ftruncate(lock_fd, 0)
     os.pwrite(lock_fd, str(os.getpid()).encode(), 0)

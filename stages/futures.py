@@ -1,26 +1,38 @@
-"""futures: forecasts drawn into the feature map and decoded, of scenes as they were and changed; held to the truth."""
+"""futures: forecasts drawn into the feature map and decoded, of scenes as they were and changed;
+held to the truth.
+"""
 
 import shutil
 from pathlib import Path
 
 import torch
 
+from oes.counterfactual.counterfactuals import EDIT_COLUMNS
+from oes.counterfactual.evaluate import CONSISTENCY_COLUMNS, RENDER_COLUMNS
+from oes.counterfactual.study import FUTURES_TABLES, FuturesConfig, FuturesRunner
+from oes.csv_io import write_csv
 from oes.dynamics.checkpoint import load_model
-from oes.imagine.quality import CONSISTENCY_COLUMNS, RENDER_COLUMNS
-from oes.imagine.study import TABLES, Futures, Study
-from oes.imagine.whatif import EDIT_COLUMNS
 from oes.meshes.catalogue import load_catalogue
-from oes.percept.perceiver import Perceiver
+from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
-from oes.rows import write_csv
 from oes.stage import publish, run, work_dir
 
 MODELS = ("oes", "graph_xyz")
-COLUMNS = dict(zip(TABLES, (RENDER_COLUMNS, CONSISTENCY_COLUMNS, EDIT_COLUMNS), strict=True))
+COLUMNS = dict(
+    zip(FUTURES_TABLES, (RENDER_COLUMNS, CONSISTENCY_COLUMNS, EDIT_COLUMNS), strict=True)
+)
 
 
-def main(cfg: Futures, task: str, meshes: Path, episodes: Path, perception: Path, dynamics: Path, out: Path) -> None:
-    """Write a CSV for each of ``TABLES`` and ``gallery/`` to ``out``."""
+def main(
+    cfg: FuturesConfig,
+    task: str,
+    meshes: Path,
+    episodes: Path,
+    perception: Path,
+    dynamics: Path,
+    out: Path,
+) -> None:
+    """Write a CSV for each of ``FUTURES_TABLES`` and ``gallery/`` to ``out``."""
     with work_dir(out, (cfg, task, [meshes, episodes, perception, dynamics])) as work:
         progress, gallery = work / "progress", work / "gallery"
         for folder in (progress, gallery):
@@ -28,7 +40,7 @@ def main(cfg: Futures, task: str, meshes: Path, episodes: Path, perception: Path
         models = {word: load_model(dynamics / f"{task}-{word}") for word in MODELS}
         perceiver = Perceiver.load(perception / "perception.safetensors", torch.device("cpu"))
         source = FrameSource(episodes / f"{task}-{cfg.splits[task]}")
-        study = Study(cfg, task, load_catalogue(meshes), perceiver, source, models)
+        study = FuturesRunner(cfg, task, load_catalogue(meshes), perceiver, source, models)
         for name, rows in study.run(progress, gallery).items():
             write_csv(work / f"{name}.csv", rows, COLUMNS[name])
         shutil.rmtree(progress)

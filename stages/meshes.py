@@ -1,12 +1,14 @@
-"""meshes: the catalogue of objects to push and to drop: generated or ingested, scaled, decomposed, split in two."""
+"""meshes: the catalogue of objects to push and to drop: generated or ingested, scaled, decomposed,
+split in two.
+"""
 
 from pathlib import Path
 
-from oes.meshes.build import Meshes, build_catalogue
+from oes.meshes.build import MeshesConfig, build_catalogue
 from oes.stage import run
 
 
-def main(cfg: Meshes, out: Path) -> None:
+def main(cfg: MeshesConfig, out: Path) -> None:
     """Write catalogue.csv, rejected.csv, contact_sheet.png and one folder a mesh."""
     build_catalogue(cfg, out)
 

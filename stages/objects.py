@@ -1,24 +1,36 @@
-"""objects: every episode's first state as perception sees it, under every setting; at test, scored too."""
+"""objects: every episode's first state as perception sees it, under every setting; at test, scored
+too.
+"""
 
 import shutil
 from pathlib import Path
 
 import torch
 
+from oes.csv_io import write_csv
 from oes.meshes.catalogue import TRAIN, load_catalogue
-from oes.percept.draws import Draws, Observer, perceive_all
-from oes.percept.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
-from oes.percept.perceiver import Perceiver
-from oes.percept.shell import Shells
-from oes.percept.solids import solids_of
-from oes.percept.store import write_objects
+from oes.perception.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
+from oes.perception.gt_profiles import GroundTruthProfiles
+from oes.perception.objects_file import write_objects
+from oes.perception.observations import ObjectsConfig, ScenePerceiver, perceive_split
+from oes.perception.perceiver import Perceiver
+from oes.perception.solids import solids_of
 from oes.record.dataset import FrameSource
-from oes.rows import write_csv
 from oes.stage import publish, run, work_dir
 
 
-def main(cfg: Draws, task: str, split: str, meshes: Path, episodes: Path, perception: Path, out: Path) -> None:
-    """Write ``objects.safetensors`` and, for test splits, ``detections.csv`` and ``views.csv`` to ``out``."""
+def main(
+    cfg: ObjectsConfig,
+    task: str,
+    split: str,
+    meshes: Path,
+    episodes: Path,
+    perception: Path,
+    out: Path,
+) -> None:
+    """Write ``objects.safetensors`` and, for test splits, ``detections.csv`` and ``views.csv`` to
+    ``out``.
+    """
     is_train = split == TRAIN
     with work_dir(out, (cfg, task, split, [meshes, episodes, perception])) as work:
         progress = work / "progress"
@@ -26,13 +38,18 @@ def main(cfg: Draws, task: str, split: str, meshes: Path, episodes: Path, percep
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         perceiver = Perceiver.load(perception / "perception.safetensors", device)
         catalogue = load_catalogue(meshes)
-        shells = Shells(catalogue, perceiver.net.cfg.surface.cylinder)
+        shells = GroundTruthProfiles(catalogue, perceiver.net.cfg.surface.cylinder)
         solids = None if is_train else solids_of(catalogue, cfg.num_solid_points)
-        observer = Observer(cfg, cfg.settings(task, split), perceiver, FrameSource(episodes), shells, solids)
-        tensors, detections, views = perceive_all(observer, progress)
+        observer = ScenePerceiver(
+            cfg, cfg.settings(task, split), perceiver, FrameSource(episodes), shells, solids
+        )
+        tensors, detections, views = perceive_split(observer, progress)
         write_objects(work / "objects.safetensors", tensors, list(observer.settings))
         if not is_train:
-            for name, columns, rows in (("detections", DETECTION_COLUMNS, detections), ("views", VIEW_COLUMNS, views)):
+            for name, columns, rows in (
+                ("detections", DETECTION_COLUMNS, detections),
+                ("views", VIEW_COLUMNS, views),
+            ):
                 write_csv(work / f"{name}.csv", rows, columns)
         shutil.rmtree(progress)
         publish(work, out)

@@ -1,4 +1,6 @@
-"""tables: the raw rows of every stage as tables, figures and metrics.json, with the weights and films worth keeping."""
+"""tables: the raw rows of every stage as tables, figures and metrics.json, with the weights and
+films worth keeping.
+"""
 
 from pathlib import Path
 

@@ -1,6 +1,8 @@
-"""Guards over the shape of the repository: each takes a root folder and returns its complaints, empty when all is well.
+"""Guards over the shape of the repository: each takes a root folder and returns its complaints,
+empty when all is well.
 
-`python -m tests.architecture` rewrites the code under every stage's `deps` in pipeline.yaml to what the stage reaches.
+`python -m tests.architecture` rewrites the code under every stage's `deps` in dvc.yaml to what
+the stage reaches.
 """
 
 import ast
@@ -17,10 +19,9 @@ from oes.stage import imports, reached
 
 # From the bottom up: a module or package of oes may import only those before it.
 ORDER = (
-    "config", "compiled", "precision", "episode", "geom", "objects", "measure", "likeness", "rows", "weights",
-    "checkpoint", "muon", "stage", "fit", "film", "report", "meshes", "sim", "render", "record", "capture", "card",
-    "percept", "dynamics", "video", "control", "overlap", "rollout", "score", "imagine", "trial", "evaluate",
-    "demo", "browse", "view",
+    "config", "jit", "episode", "geom", "objects", "csv_io", "stage", "metrics", "training", "viz", "report",
+    "meshes", "sim", "render", "record", "episodes", "perception", "dynamics", "baselines", "mpc", "evaluation",
+    "counterfactual", "trials", "apps",
 )  # fmt: skip
 
 # Libraries that only some packages may import.
@@ -30,35 +31,28 @@ OWNERS = {
     "pybullet_utils": {"sim"},
     "mcap": {"record"},
     "rosbags": {"record"},
-    "matplotlib": {"report", "meshes", "card"},
+    "matplotlib": {"report", "meshes", "episodes"},
     "torch": {
         "geom",
         "objects",
-        "precision",
-        "likeness",
-        "weights",
-        "checkpoint",
-        "muon",
-        "fit",
-        "percept",
+        "metrics",
+        "training",
+        "perception",
         "dynamics",
-        "video",
-        "control",
-        "rollout",
-        "imagine",
-        "trial",
-        "evaluate",
+        "baselines",
+        "mpc",
+        "evaluation",
     }
-    | {"demo", "browse", "stages"},
-    "viser": {"browse", "view"},
+    | {"counterfactual", "trials", "apps", "stages"},
+    "viser": {"apps"},
     "pickle": set[str](),
 }
 
 # What a package may not reach, however indirectly: parts of oes, or libraries.
 APART = {
-    "control": {"sim", "render", "record", "percept", "meshes", "pybullet"},
+    "mpc": {"sim", "render", "record", "perception", "meshes", "pybullet"},
     "dynamics": {"sim", "render", "record", "pybullet"},
-    "report": {"fit", "sim", "percept", "dynamics", "pybullet"},
+    "report": {"training.loop", "sim", "perception", "dynamics", "pybullet"},
 }
 
 PROFILES = ("params.yaml", "params.smoke.yaml", "params.paper.yaml")
@@ -86,7 +80,9 @@ def layers(root: Path) -> Iterator[str]:
 
 
 def rules(root: Path) -> Iterator[str]:
-    """Every module and package of oes has its place in ORDER; oes/__init__.py is a text, which no stage depends on."""
+    """Every module and package of oes has its place in ORDER; oes/__init__.py is a text, which no
+    stage depends on.
+    """
     for part in sorted({part_of(path, root) for path in sources(root)} - {"", *ORDER}):
         yield f"oes/{part} has no place in ORDER (tests/architecture.py)"
     if len(ast.parse((root / "oes/__init__.py").read_text(encoding="utf-8")).body) > 1:
@@ -107,26 +103,31 @@ def isolation(root: Path) -> Iterator[str]:
     for part, forbidden in APART.items():
         start = [path for path in sources(root) if part_of(path, root) == part]
         for path in sorted(reached(start, root)):
-            libraries = {name.split(".")[0] for name in imports(path)}
-            for name in sorted(({part_of(path, root)} | libraries) & forbidden):
+            names = {name.split(".")[0] for name in imports(path)} | {part_of(path, root)}
+            names.add(".".join(path.relative_to(root / "oes").with_suffix("").parts))
+            for name in sorted(names & forbidden):
                 yield f"oes/{part} reaches {name} through {path.relative_to(root)}"
 
 
 def words(root: Path) -> Iterator[str]:
-    """The same words in pipeline.yaml, stages/ and the sections of params.yaml (which may serve modules of oes too)."""
+    """The same words in dvc.yaml, stages/ and the sections of params.yaml (which may serve
+    modules of oes too).
+    """
     stages, modules = set(pipeline(root)), {path.stem for path in (root / "stages").glob("*.py")}
     sections = set(yaml.safe_load((root / "params.yaml").read_text(encoding="utf-8")))
     for word in sorted(stages ^ modules):
-        yield f"{word}: in only one of pipeline.yaml and stages/"
+        yield f"{word}: in only one of dvc.yaml and stages/"
     for word in sorted(stages - sections):
         yield f"{word}: a stage without a section in params.yaml"
     for word in sorted(sections - stages):
-        if not (root / f"oes/{word}.py").exists():
-            yield f"{word}: a section of params.yaml that is neither a stage nor a module of oes"
+        if not any((root / f"oes/{name}").exists() for name in (word, f"apps/{word}.py")):
+            yield f"{word}: a section of params.yaml that is neither a stage nor an app nor a package of oes"
 
 
 def deps(root: Path) -> Iterator[str]:
-    """The code under deps is exactly what the stage reaches: DVC keeps a stale output when something is unlisted."""
+    """The code under deps is exactly what the stage reaches: DVC keeps a stale output when
+    something is unlisted.
+    """
     for word, stage in written(root).items():
         code = [dep for dep in stage["deps"] if not dep.startswith("datasets/")]
         if set(code) != set(wanted := code_deps(root, word)) or len(code) != len(wanted):
@@ -136,27 +137,42 @@ def deps(root: Path) -> Iterator[str]:
 def code_deps(root: Path, word: str) -> list[str]:
     """The stage's own file, then the modules and packages of oes that it reaches."""
     stage = root / f"stages/{word}.py"
-    parts = {part_of(path, root) for path in reached([stage], root) if path.is_relative_to((root / "oes").resolve())}
-    names = [f"oes/{part}.py" if (root / f"oes/{part}.py").exists() else f"oes/{part}" for part in sorted(parts - {""})]
+    parts = {
+        part_of(path, root)
+        for path in reached([stage], root)
+        if path.is_relative_to((root / "oes").resolve())
+    }
+    names = [
+        f"oes/{part}.py" if (root / f"oes/{part}.py").exists() else f"oes/{part}"
+        for part in sorted(parts - {""})
+    ]
     return [f"stages/{word}.py", *names]
 
 
 def block(root: Path, word: str, indent: str = "    ") -> str:
     data = [dep for dep in pipeline(root)[word]["deps"] if dep.startswith("datasets/")]
-    return "".join(f"{indent}{line}\n" for line in ["deps:", *(f"  - {dep}" for dep in code_deps(root, word) + data)])
+    return "".join(
+        f"{indent}{line}\n"
+        for line in ["deps:", *(f"  - {dep}" for dep in code_deps(root, word) + data)]
+    )
 
 
 def commands(root: Path) -> Iterator[str]:
     """Each cmd runs its stage with the flags of its main, and every path in it is declared."""
     for word, stage in written(root).items():
         python, m, module, *flags = shlex.split(stage["cmd"])
-        given = {flag.removeprefix("--"): value for flag, value in zip(flags[::2], flags[1::2], strict=True)}
+        given = {
+            flag.removeprefix("--"): value
+            for flag, value in zip(flags[::2], flags[1::2], strict=True)
+        }
         kinds = main_flags(root / f"stages/{word}.py")
         if (python, m, module) != ("python", "-m", f"stages.{word}"):
             yield f"{word}: its cmd does not run stages.{word}"
         if given.keys() != kinds.keys():
             yield f"{word}: its cmd has flags {sorted(given)}, its main {sorted(kinds)}"
-        paths = {value for flag, value in given.items() if kinds.get(flag) == "Path" and flag != "out"}
+        paths = {
+            value for flag, value in given.items() if kinds.get(flag) == "Path" and flag != "out"
+        }
         data = {dep for dep in stage["deps"] if dep.startswith("datasets/")}
         for path in sorted(paths):
             if not any(dep == path or dep.startswith(f"{path}/") for dep in data):
@@ -173,7 +189,9 @@ def produced(root: Path) -> Iterator[str]:
     stages = pipeline(root)
     made = {path for stage in stages.values() for path in expand(outs(stage), stage)}
     for word, stage in stages.items():
-        for dep in sorted(expand([dep for dep in stage["deps"] if dep.startswith("datasets/")], stage) - made):
+        for dep in sorted(
+            expand([dep for dep in stage["deps"] if dep.startswith("datasets/")], stage) - made
+        ):
             yield f"{word}: no stage makes {dep}"
 
 
@@ -195,13 +213,19 @@ def keys(tree: Any, prefix: str = "") -> Iterator[str]:
 
 def pipeline(root: Path) -> dict[str, Any]:
     """The stages by name; one written as foreach ... do is told as its do, with the foreach."""
-    stages: dict[str, Any] = yaml.safe_load((root / "pipeline.yaml").read_text(encoding="utf-8"))["stages"]
+    stages: dict[str, Any] = yaml.safe_load((root / "dvc.yaml").read_text(encoding="utf-8"))[
+        "stages"
+    ]
     return {word: {**stage.pop("do", {}), **stage} for word, stage in stages.items()}
 
 
 def written(root: Path) -> dict[str, Any]:
-    """The stages of pipeline.yaml that have their module; `words` names the others."""
-    return {word: stage for word, stage in pipeline(root).items() if (root / f"stages/{word}.py").exists()}
+    """The stages of dvc.yaml that have their module; `words` names the others."""
+    return {
+        word: stage
+        for word, stage in pipeline(root).items()
+        if (root / f"stages/{word}.py").exists()
+    }
 
 
 def outs(stage: dict[str, Any]) -> list[str]:
@@ -211,23 +235,29 @@ def outs(stage: dict[str, Any]) -> list[str]:
 def expand(paths: list[str], stage: dict[str, Any]) -> set[str]:
     """The paths of every instance of a stage."""
     matrix = stage.get("matrix", {})
-    product = [dict(zip(matrix, values, strict=True)) for values in itertools.product(*matrix.values())]
+    product = [
+        dict(zip(matrix, values, strict=True)) for values in itertools.product(*matrix.values())
+    ]
     done = set()
     for item in stage.get("foreach", {}).values() or product:
-        done |= {re.sub(r"\$\{item\.(\w+)\}", lambda found: str(item[found[1]]), path) for path in paths}  # noqa: B023
+        done |= {
+            re.sub(r"\$\{item\.(\w+)\}", lambda found: str(item[found[1]]), path) for path in paths
+        }  # noqa: B023
     return done
 
 
 def main_flags(path: Path) -> dict[str, str]:
     """The arguments of a stage's main after cfg, with their annotations, read from its source."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    main = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "main")
+    main = next(
+        node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "main"
+    )
     return {arg.arg: ast.unparse(arg.annotation) for arg in main.args.args[1:] if arg.annotation}
 
 
 def rewrite_deps(root: Path) -> None:
-    """Put the code that each stage reaches into pipeline.yaml, before the data it reads."""
-    path = root / "pipeline.yaml"
+    """Put the code that each stage reaches into dvc.yaml, before the data it reads."""
+    path = root / "dvc.yaml"
     text = path.read_text(encoding="utf-8")
     for word in written(root):
         pattern = rf"(?ms)(^  {word}:\n.*?)^( +)deps:\n(?:\2  - .*?\n)+"

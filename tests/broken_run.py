@@ -1,4 +1,5 @@
-"""``python -m tests.broken_run``: the smoke study, killed in three stages and started again, ends as an unbroken one.
+"""``python -m tests.broken_run``: the smoke study, killed in three stages and started again, ends
+as an unbroken one.
 
 Takes about two smoke runs. Works in build/smoke, where it replaces what is there.
 """
@@ -29,12 +30,16 @@ def main() -> None:
     whole = run_with_kills(())
     broken = run_with_kills(MIDDLES)
     different = sorted(name for name in whole | broken if whole.get(name) != broken.get(name))
-    print(f"{len(whole)} files of {', '.join(STAGES)}; different after {len(MIDDLES)} kills: {len(different)}")
+    print(
+        f"{len(whole)} files of {', '.join(STAGES)}; different after {len(MIDDLES)} kills: {len(different)}"
+    )
     sys.exit("\n".join(different) or None)
 
 
 def run_with_kills(middles: tuple[str, ...]) -> dict[str, str]:
-    """Run the stages from nothing, killed once for each pattern as soon as it matches. SHA-256 of every output file."""
+    """Run the stages from nothing, killed once for each pattern as soon as it matches. SHA-256 of
+    every output file.
+    """
     for name in ("datasets", ".work"):
         shutil.rmtree(HERE / name, ignore_errors=True)
     (HERE / "dvc.lock").unlink(missing_ok=True)
@@ -49,12 +54,21 @@ def run_with_kills(middles: tuple[str, ...]) -> dict[str, str]:
         print(f"killed at {pattern}", flush=True)
     if start().wait():
         sys.exit("the run failed")
-    files = [path for stage in STAGES for path in sorted((HERE / "datasets" / stage).rglob("*")) if path.is_file()]
-    return {str(path.relative_to(HERE)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    files = [
+        path
+        for stage in STAGES
+        for path in sorted((HERE / "datasets" / stage).rglob("*"))
+        if path.is_file()
+    ]
+    return {
+        str(path.relative_to(HERE)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
+    }
 
 
 def start() -> "subprocess.Popen[bytes]":
-    """The study up to the dynamics, as the Makefile starts it, but never from DVC's cache of earlier runs."""
+    """The study up to the dynamics, as the Makefile starts it, but never from DVC's cache of
+    earlier runs.
+    """
     bin_folder = Path(sys.executable).parent.absolute()
     env = os.environ | {"PATH": f"{bin_folder}:{os.environ['PATH']}", "DVC_NO_ANALYTICS": "1"}
     command = [str(bin_folder / "dvc"), "repro", "--no-run-cache", "dynamics"]

@@ -10,32 +10,59 @@ NUM_CAMERAS, NUM_LINKS, NUM_JOINTS = 27, 9, 7
 HOLES = 0.05
 
 
-def make_episode(seed: int = 0, num_steps: int = 3, num_objects: int = 2, size_px: int = 32) -> Episode:
+def make_episode(
+    seed: int = 0, num_steps: int = 3, num_objects: int = 2, size_px: int = 32
+) -> Episode:
     """A random episode of 27 cameras whose every field has a value of its own."""
     rng = np.random.default_rng(seed)
     bodies = tuple(
         Body(
-            f"mesh_{i}", "mug", rng.uniform(0.8, 1.2, 3), rng.uniform(0.1, 1), rng.uniform(0.3, 0.9), texture_seed=i + 5
+            f"mesh_{i}",
+            "mug",
+            rng.uniform(0.8, 1.2, 3),
+            rng.uniform(0.1, 1),
+            rng.uniform(0.3, 0.9),
+            texture_seed=i + 5,
         )
         for i in range(num_objects)
     )
     steps = tuple(_step(rng, step_i, num_objects, size_px) for step_i in range(num_steps))
     actions_T3 = rng.uniform(-0.06, 0.06, (num_steps - 1, 3)) * [1, 1, 0]
-    return Episode("pushing", "train", 7 + seed, seed, bodies, actions_T3, steps, rod_rms_m=rng.uniform(0, 0.003))
+    return Episode(
+        "pushing",
+        "train",
+        7 + seed,
+        seed,
+        bodies,
+        actions_T3,
+        steps,
+        rod_rms_m=rng.uniform(0, 0.003),
+    )
 
 
 def make_frames(episode: Episode, seed: int = 0) -> list[Frames]:
-    """Images of every step: noisy colour, depth in whole millimetres with holes, segmentation with every id."""
+    """Images of every step: noisy colour, depth in whole millimetres with holes, segmentation with
+    every id.
+    """
     rng = np.random.default_rng(seed)
-    shape = (len(episode.steps[0].cameras), episode.steps[0].cameras[0].height_px, episode.steps[0].cameras[0].width_px)
+    shape = (
+        len(episode.steps[0].cameras),
+        episode.steps[0].cameras[0].height_px,
+        episode.steps[0].cameras[0].width_px,
+    )
     return [_frames(rng, shape, len(episode.bodies)) for _ in episode.steps]
 
 
 def _step(rng: np.random.Generator, step_i: int, num_objects: int, size_px: int) -> Step:
-    poses = [rigid(rotation_z(rng.uniform(-3, 3)), rng.uniform(-0.2, 0.2, 3)) for _ in range(num_objects + NUM_LINKS)]
+    poses = [
+        rigid(rotation_z(rng.uniform(-3, 3)), rng.uniform(-0.2, 0.2, 3))
+        for _ in range(num_objects + NUM_LINKS)
+    ]
     touched = rng.random((num_objects + 2, num_objects + 2)) < (0.3 if step_i else 0.0)
     K_33 = intrinsics(42.0, size_px, size_px)
-    cameras = tuple(Camera(f"cam_{i:02d}", K_33, _pose(rng), size_px, size_px) for i in range(NUM_CAMERAS))
+    cameras = tuple(
+        Camera(f"cam_{i:02d}", K_33, _pose(rng), size_px, size_px) for i in range(NUM_CAMERAS)
+    )
     return Step(
         t_ns=step_i * 200_000_000,
         world_T_obj_N44=np.array(poses[:num_objects]).reshape(num_objects, 4, 4),
@@ -51,7 +78,13 @@ def _step(rng: np.random.Generator, step_i: int, num_objects: int, size_px: int)
 
 def _pose(rng: np.random.Generator) -> np.ndarray:
     azimuth, elevation = rng.uniform(-1.5, 1.5), rng.uniform(0.3, 1.0)
-    direction = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    direction = np.array(
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+        ]
+    )
     target = np.array([0.0, 0.0, 0.1])
     return look_at(target + direction, target)
 
@@ -59,7 +92,11 @@ def _pose(rng: np.random.Generator) -> np.ndarray:
 def _frames(rng: np.random.Generator, shape: tuple[int, int, int], num_objects: int) -> Frames:
     num_views, height, width = shape
     ramp = np.add.outer(np.arange(height), np.arange(width))
-    color = rng.integers(0, 255, (num_views, 1, 1, 3)) + ramp[None, :, :, None] + rng.integers(0, 40, (*shape, 3))
+    color = (
+        rng.integers(0, 255, (num_views, 1, 1, 3))
+        + ramp[None, :, :, None]
+        + rng.integers(0, 40, (*shape, 3))
+    )
     depth_mm = rng.integers(600, 1400, (num_views, 1, 1)) + ramp
     seg = np.full(shape, SEG_TABLE, np.uint8)
     for object_i in range(num_objects):

@@ -1,4 +1,6 @@
-"""Analytic scenes for tests of perception: coloured boxes on a table, ray cast with numpy, as episodes in memory."""
+"""Analytic scenes for tests of perception: coloured boxes on a table, ray cast with numpy, as
+episodes in memory.
+"""
 
 from collections.abc import Sequence
 from types import SimpleNamespace
@@ -13,20 +15,24 @@ from oes.geom.camera import intrinsics, look_at
 from oes.geom.se3 import inverse, rigid, rotation_z, transform
 from oes.geom.voxels import Grid
 from oes.meshes.catalogue import Catalogue
-from oes.percept.decoder import Backdrop, Decoder
-from oes.percept.detector import Detector
-from oes.percept.lift import Lift
-from oes.percept.network import Network
-from oes.percept.roi import Roi
-from oes.percept.samples import Sampling
-from oes.percept.shell import Shells
-from oes.percept.solids import Solids, skin, solid_points
-from oes.percept.surface import Cylinder, Surface
+from oes.perception.decoder import BackgroundConfig, DecoderConfig
+from oes.perception.detector import DetectorConfig
+from oes.perception.gt_profiles import GroundTruthProfiles
+from oes.perception.lift import LiftConfig
+from oes.perception.network import PerceptionNetConfig
+from oes.perception.roi import RoiConfig
+from oes.perception.samples import Sampling
+from oes.perception.solids import Solids, sample_surface, solid_points
+from oes.perception.surface import Cylinder, SurfaceHeadConfig
 
 SIZES = {"brick": (0.12, 0.06, 0.06), "tile": (0.1, 0.1, 0.04)}
 GRID = Grid(min_m=(-0.32, -0.32, -0.04), shape=(64, 64, 32), voxel_m=0.01)
 CYLINDER = Cylinder(directions=32, distances=24, step_m=0.004, bands=4, band_m=0.02)
-TABLE = (np.array([0.6, 0.6, 0.04]), rigid(np.eye(3), np.array([0.0, 0.0, -0.02])), np.array([150, 140, 130]))
+TABLE = (
+    np.array([0.6, 0.6, 0.04]),
+    rigid(np.eye(3), np.array([0.0, 0.0, -0.02])),
+    np.array([150, 140, 130]),
+)
 
 
 def cameras(count: int = 6, size_px: int = 64) -> tuple[Camera, ...]:
@@ -38,14 +44,24 @@ def cameras(count: int = 6, size_px: int = 64) -> tuple[Camera, ...]:
         eye = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
         target = np.array([0.0, 0.0, 0.1])
         pose = look_at(eye + target, target)
-        found.append(Camera(f"cam_{camera_i:02d}", intrinsics(42.0, size_px, size_px), pose, size_px, size_px))
+        found.append(
+            Camera(
+                f"cam_{camera_i:02d}", intrinsics(42.0, size_px, size_px), pose, size_px, size_px
+            )
+        )
     return tuple(found)
 
 
-def cast(camera: Camera, solids: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def cast(
+    camera: Camera, solids: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray]:
     """RGB and z-depth of boxes given by size, world_T_box and colour, on a black background."""
-    v, u = np.meshgrid(np.arange(camera.height_px) + 0.5, np.arange(camera.width_px) + 0.5, indexing="ij")
-    rays_cam = np.stack([u, v, np.ones_like(u)], axis=-1).reshape(-1, 3) @ np.linalg.inv(camera.K_33).T
+    v, u = np.meshgrid(
+        np.arange(camera.height_px) + 0.5, np.arange(camera.width_px) + 0.5, indexing="ij"
+    )
+    rays_cam = (
+        np.stack([u, v, np.ones_like(u)], axis=-1).reshape(-1, 3) @ np.linalg.inv(camera.K_33).T
+    )
     depth, rgb = np.full(len(rays_cam), np.inf), np.zeros((len(rays_cam), 3))
     for size, world_T_box, color in solids:
         box_T_cam = inverse(world_T_box) @ camera.world_T_cam_44
@@ -63,16 +79,25 @@ class BoxWorld:
     """A source of one-state episodes with one or two boxes each, none under the other."""
 
     def __init__(self, count: int, seed: int = 0, size_px: int = 64) -> None:
-        self.episodes = [_episode(np.random.default_rng((seed, i)), i, size_px) for i in range(count)]
+        self.episodes = [
+            _episode(np.random.default_rng((seed, i)), i, size_px) for i in range(count)
+        ]
 
-    def read(self, episode_i: int, step_i: int, camera_is: Sequence[int]) -> tuple[Frames, tuple[Camera, ...]]:
+    def read(
+        self, episode_i: int, step_i: int, camera_is: Sequence[int]
+    ) -> tuple[Frames, tuple[Camera, ...]]:
         """Ray cast the views asked for."""
         episode = self.episodes[episode_i]
         step = episode.steps[step_i]
         found = tuple(step.cameras[i] for i in camera_is)
-        colors = [np.random.default_rng(body.texture_seed).integers(60, 255, 3) for body in episode.bodies]
+        colors = [
+            np.random.default_rng(body.texture_seed).integers(60, 255, 3) for body in episode.bodies
+        ]
         sizes = [np.array(SIZES[body.mesh]) for body in episode.bodies]
-        images = [cast(camera, [TABLE, *zip(sizes, step.world_T_obj_N44, colors, strict=True)]) for camera in found]
+        images = [
+            cast(camera, [TABLE, *zip(sizes, step.world_T_obj_N44, colors, strict=True)])
+            for camera in found
+        ]
         rgb, depth = (np.stack(values) for values in zip(*images, strict=True))
         return Frames(rgb, depth, np.zeros(depth.shape, np.uint8)), found
 
@@ -82,48 +107,57 @@ def box_solids(count: int = 2048) -> Solids:
     boxes = {name: trimesh.creation.box(size) for name, size in SIZES.items()}
     return Solids(
         {name: solid_points(box, (box,), count, seed=0) for name, box in boxes.items()},
-        {name: skin(box, count) for name, box in boxes.items()},
+        {name: sample_surface(box, count) for name, box in boxes.items()},
     )
 
 
-def box_shells() -> Shells:
+def box_shells() -> GroundTruthProfiles:
     """Their true outlines."""
     meshes = {
-        name: SimpleNamespace(visual=trimesh.creation.box(size), com_obj_3=np.zeros(3)) for name, size in SIZES.items()
+        name: SimpleNamespace(visual=trimesh.creation.box(size), com_obj_3=np.zeros(3))
+        for name, size in SIZES.items()
     }
-    return Shells(cast_to(Catalogue, SimpleNamespace(meshes=meshes)), CYLINDER)
+    return GroundTruthProfiles(cast_to(Catalogue, SimpleNamespace(meshes=meshes)), CYLINDER)
 
 
-def small_network() -> Network:
+def small_network() -> PerceptionNetConfig:
     """A network that runs in milliseconds: its scene map has voxels of 2 cm."""
-    return Network(
+    return PerceptionNetConfig(
         grid=Grid(min_m=GRID.min_m, shape=(32, 32, 16), voxel_m=0.02),
-        lift=Lift(truncation_m=0.03),
+        lift=LiftConfig(truncation_m=0.03),
         image_features=2,
         channels=(16, 32),
         blocks=(1, 1),
         map_features=4,
-        detector=Detector(channels=16, anchor_m=0.12, sigma_m=0.04, num_peaks=4, min_score=0.3, max_iou=0.25),
-        roi=Roi(count=16, voxel_m=0.01, channels=(16, 32), blocks=(1, 1), hidden=32),
-        decoder=Decoder(
+        detector=DetectorConfig(
+            channels=16, anchor_m=0.12, sigma_m=0.04, num_peaks=4, min_score=0.3, max_iou=0.25
+        ),
+        roi=RoiConfig(count=16, voxel_m=0.01, channels=(16, 32), blocks=(1, 1), hidden=32),
+        decoder=DecoderConfig(
             stride_px=2,
             num_samples=16,
             channels=16,
-            backdrop=Backdrop(
+            backdrop=BackgroundConfig(
                 grid=Grid(min_m=(-0.8, -0.8, -0.3), shape=(16, 16, 12), voxel_m=0.1),
-                lift=Lift(truncation_m=0.15),
+                lift=LiftConfig(truncation_m=0.15),
                 channels=(8, 16),
                 blocks=(1, 1),
                 num_samples=4,
             ),
         ),
-        surface=Surface(cylinder=CYLINDER, channels=(8, 8), width=16, column=16),
+        surface=SurfaceHeadConfig(cylinder=CYLINDER, channels=(8, 8), width=16, column=16),
     )
 
 
 def sampling() -> Sampling:
     """One or two views, moderate motions of the world."""
-    return Sampling(views_share=(0.5, 0.5), center_jitter_m=0.01, size_jitter=0.1, scale=(0.9, 1.1), shift_m=0.03)
+    return Sampling(
+        views_share=(0.5, 0.5),
+        center_jitter_m=0.01,
+        size_jitter=0.1,
+        scale=(0.9, 1.1),
+        shift_m=0.03,
+    )
 
 
 def _episode(rng: np.random.Generator, index: int, size_px: int) -> Episode:
@@ -133,12 +167,16 @@ def _episode(rng: np.random.Generator, index: int, size_px: int) -> Episode:
     poses = [
         rigid(
             rotation_z(rng.uniform(0, 3)),
-            np.array([rng.uniform(-0.15, 0.15), sides[i] * rng.uniform(0.08, 0.16), SIZES[name][2] / 2]),
+            np.array(
+                [rng.uniform(-0.15, 0.15), sides[i] * rng.uniform(0.08, 0.16), SIZES[name][2] / 2]
+            ),
         )
         for i, name in enumerate(names)
     ]
     boxes = [hull(transform(pose, _corners(name))) for name, pose in zip(names, poses, strict=True)]
-    bodies = tuple(Body(name, "box", np.ones(3), 0.2, 0.5, int(rng.integers(1000))) for name in names)
+    bodies = tuple(
+        Body(name, "box", np.ones(3), 0.2, 0.5, int(rng.integers(1000))) for name in names
+    )
     step = Step(
         t_ns=0,
         world_T_obj_N44=np.stack(poses),

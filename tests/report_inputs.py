@@ -8,13 +8,13 @@ import numpy as np
 from PIL import Image
 from safetensors.numpy import save_file
 
+from oes.csv_io import write_csv
 from oes.report.findings import Inputs
 from oes.report.futures import CONSISTENCY, EDITS, FILES, RENDERS
 from oes.report.names import MODELS, SETTINGS
 from oes.report.perception import BOX, DETECTIONS
 from oes.report.rows import ERRORS, TRIALS
 from oes.report.video import FORECASTS, VIDEO_MODELS
-from oes.rows import write_csv
 
 MORE_VIEWS = ("2views_pred", "3views_pred", "5views_pred")
 SCENES = {  # number of objects, split and setting
@@ -28,12 +28,23 @@ SCENES = {  # number of objects, split and setting
     ],
 }
 TILE_PX = 25
-UNTOLD = dict.fromkeys(("scale_mm", "within_50", "within_90", "nll", "nll_same"))  # of models that are never unsure
+UNTOLD = dict.fromkeys(
+    ("scale_mm", "within_50", "within_90", "nll", "nll_same")
+)  # of models that are never unsure
 
 
 def make_inputs(root: Path) -> Inputs:
     """The datasets of all stages under ``root``, of both tasks."""
-    names = ("meshes", "episodes", "perception", "objects", "dynamics", "rollouts", "futures", "trials")
+    names = (
+        "meshes",
+        "episodes",
+        "perception",
+        "objects",
+        "dynamics",
+        "rollouts",
+        "futures",
+        "trials",
+    )
     found = Inputs(**{name: root / name for name in names})
     for task in SCENES:
         write_errors(found.rollouts, task)
@@ -52,8 +63,12 @@ def make_inputs(root: Path) -> Inputs:
     weights = {"w": np.linspace(-1, 1, 9, dtype=np.float32), "n": np.array([3], np.int64)}
     save_file(weights, found.perception / "perception.safetensors", about)
     save_file(weights, found.dynamics / "pushing-oes" / "model.safetensors", about)
-    (found.perception / "log.csv").write_text("step,loss,val_ap_50,val_psnr_db\n50,9.0,,\n100,5.0,0.5,20.0\n")
-    (found.dynamics / "pushing-oes" / "log.csv").write_text("step,loss,mm_5,deg_5\n100,2.0,,\n200,1.0,30.0,20.0\n")
+    (found.perception / "log.csv").write_text(
+        "step,loss,val_ap_50,val_psnr_db\n50,9.0,,\n100,5.0,0.5,20.0\n"
+    )
+    (found.dynamics / "pushing-oes" / "log.csv").write_text(
+        "step,loss,mm_5,deg_5\n100,2.0,,\n200,1.0,30.0,20.0\n"
+    )
     write_forecasts(found.dynamics / "pushing-planet")
     return found
 
@@ -62,10 +77,14 @@ def write_futures(folder: Path) -> None:
     """Two episodes: 3D-OES is better than graph-XYZ by a factor, and its error grows with T."""
     (folder / "gallery").mkdir(parents=True)
     rows: dict[str, list[dict[str, object]]] = {name: [] for name in FILES}
-    for episode_i, T, (size, word) in product((0, 1), (1, 3, 5), enumerate(("oes", "graph_xyz"), start=1)):
+    for episode_i, T, (size, word) in product(
+        (0, 1), (1, 3, 5), enumerate(("oes", "graph_xyz"), start=1)
+    ):
         about = {"episode_i": episode_i, "T": T}
         pictures = (20.0 + episode_i, 0.8, 15.0 if episode_i else "", 0.1 * T * size)
-        rows["renders"].append(about | dict(zip(tuple(RENDERS)[2:], (word, *pictures), strict=True)))
+        rows["renders"].append(
+            about | dict(zip(tuple(RENDERS)[2:], (word, *pictures), strict=True))
+        )
         rows["consistency"].append(
             about | dict(zip(tuple(CONSISTENCY)[2:], (word, 2 + episode_i, 9.0, ""), strict=True))
         )
@@ -91,7 +110,8 @@ def write_forecasts(folder: Path) -> None:
 
 
 def write_errors(folder: Path, task: str) -> None:
-    """Errors that grow with the model's place in the order, the number of objects, and fall with views.
+    """Errors that grow with the model's place in the order, the number of objects, and fall with
+    views.
 
     Of pushing, two ablations too, as good as what they are part of.
     """
@@ -102,13 +122,25 @@ def write_errors(folder: Path, task: str) -> None:
             num_views = int(setting[0]) if setting[0].isdigit() else 1
             for episode_i, object_i, T in np.ndindex(4, num_objects, 5):
                 error = size * (T + 1) * num_objects / num_views * rng.uniform(0.9, 1.1)
-                place = (task, model, setting, split, episode_i, object_i, num_objects, num_views, T + 1)
+                place = (
+                    task,
+                    model,
+                    setting,
+                    split,
+                    episode_i,
+                    object_i,
+                    num_objects,
+                    num_views,
+                    T + 1,
+                )
                 sure = (error, int(T % 2), 1, 3.0, 3.5) if model == "contact" else ("",) * 5
                 values = (*place, error, error / 2, error / 4, 1, 1, 0.5 * (T % 2), *sure)
                 rows.append(dict(zip(ERRORS, values, strict=True)))
         (folder / f"{task}-{model}").mkdir(parents=True)
         write_csv(folder / f"{task}-{model}" / "errors.csv", rows, list(ERRORS))
-        for variant in ("contact_true", "contact_300") if (task, model) == ("pushing", "contact") else ():
+        for variant in (
+            ("contact_true", "contact_300") if (task, model) == ("pushing", "contact") else ()
+        ):
             (folder / f"{task}-{variant}").mkdir()
             varied = [row | {"model": variant} for row in rows if row["setting"] == "1view_pred"]
             write_csv(folder / f"{task}-{variant}" / "errors.csv", varied, list(ERRORS))
@@ -128,16 +160,22 @@ def write_card(folder: Path, task: str) -> None:
 
 
 def write_strips(folder: Path, num_scenes: int) -> None:
-    """Pictures of scenes over T = 0 to 5: every tile of one brightness, the forecast's brighter than the truth's."""
+    """Pictures of scenes over T = 0 to 5: every tile of one brightness, the forecast's brighter
+    than the truth's.
+    """
     folder.mkdir(parents=True)
     for scene_i in range(num_scenes):
         levels = 40 + 20 * np.arange(6) + np.array([[0], [100]])
-        picture = levels.repeat(TILE_PX, axis=0).repeat(TILE_PX, axis=1)[..., None].repeat(3, axis=2)
+        picture = (
+            levels.repeat(TILE_PX, axis=0).repeat(TILE_PX, axis=1)[..., None].repeat(3, axis=2)
+        )
         Image.fromarray(picture.astype(np.uint8)).save(folder / f"test2-{scene_i:06d}.png")
 
 
 def write_perception(folder: Path) -> None:
-    """Two true objects in each of two states: one found exactly, one missed; one false box with a low score."""
+    """Two true objects in each of two states: one found exactly, one missed; one false box with a
+    low score.
+    """
     folder.mkdir(parents=True)
     rows = []
     for num_views in (1, 3):
@@ -145,7 +183,9 @@ def write_perception(folder: Path) -> None:
             base = {"episode": episode, "step": 0, "num_views": num_views}
             box = dict(zip(BOX, (0.1, 0, 0.02, 0.05, 0.05, 0.04), strict=True))
             true = {f"true_{name}": value for name, value in box.items()}
-            rows.append(base | box | true | {"score": 0.9, "iou": 1.0, "centre_mm": 0.0, "mask_iou": 0.8})
+            rows.append(
+                base | box | true | {"score": 0.9, "iou": 1.0, "centre_mm": 0.0, "mask_iou": 0.8}
+            )
             rows.append(base | true | {"true_x_m": -0.1})
             rows.append(base | box | {"x_m": 0.25, "score": 0.3})
     write_csv(folder / "detections.csv", rows, list(DETECTIONS))

@@ -24,16 +24,16 @@ TOY = {
     "oes/geom/se3.py": "import numpy\n",
     "oes/sim/__init__.py": "import pybullet\n",
     "oes/sim/world.py": "from oes.geom import se3\n",
-    "oes/control/__init__.py": "",
-    "oes/control/plan.py": "from oes.geom.se3 import rigid\n",
-    "oes/fit.py": "",
+    "oes/mpc/__init__.py": "",
+    "oes/mpc/search.py": "from oes.geom.se3 import rigid\n",
+    "oes/training/loop.py": "",
     "oes/report/__init__.py": "import matplotlib.pyplot\n",
     "stages/count.py": "from oes.sim import world\ndef main(cfg: object, task: str, out: Path) -> None: ...\n",
     "stages/total.py": "import oes.config\ndef main(cfg: object, counts: Path, out: Path) -> None: ...\n",
     "params.yaml": "count: {a: {b: 1}}\ntotal: {c: [1]}\n",
     "params.smoke.yaml": "count: {a: {b: 2}}\ntotal: {c: [1, 2]}\n",
     "params.paper.yaml": "count: {a: {b: 3}}\ntotal: {c: []}\n",
-    "pipeline.yaml": """\
+    "dvc.yaml": """\
 stages:
   count:
     matrix:
@@ -73,8 +73,8 @@ def test_every_section_loads(profile: str) -> None:
 
 
 def test_dvc_reads_the_pipeline() -> None:
-    assert (ROOT / "dvc.yaml").is_symlink()
-    assert (ROOT / "dvc.yaml").readlink() == Path("pipeline.yaml")
+    assert not (ROOT / "dvc.yaml").is_symlink(), "DVC reads dvc.yaml of git's revisions"
+    assert (ROOT / "pipeline.yaml").readlink() == Path("dvc.yaml")
 
 
 @pytest.fixture
@@ -99,49 +99,141 @@ def test_a_sound_repository_passes(toy: Path) -> None:
             "import oes.sim.world",
             "oes/geom/se3.py imports upward: oes.sim",
         ),
-        (arch.layers, "oes/geom/se3.py", "import numpy", "def f():\n  from oes import sim", "imports upward: oes.sim"),
-        (arch.layers, "oes/geom/se3.py", "import numpy", "import stages.count", "imports upward: stages.count"),
+        (
+            arch.layers,
+            "oes/geom/se3.py",
+            "import numpy",
+            "def f():\n  from oes import sim",
+            "imports upward: oes.sim",
+        ),
+        (
+            arch.layers,
+            "oes/geom/se3.py",
+            "import numpy",
+            "import stages.count",
+            "imports upward: stages.count",
+        ),
         (arch.rules, "oes/extra/a.py", "", "", "oes/extra has no place"),
         (arch.rules, "oes/extra.py", "", "", "oes/extra has no place"),
         (arch.rules, "oes/__init__.py", "", "import numpy\n", "more than its docstring"),
         (arch.owners, "oes/geom/se3.py", "numpy", "pybullet", "oes/geom/se3.py imports pybullet"),
-        (arch.owners, "oes/geom/se3.py", "import numpy", "def f():\n  from mcap.reader import x", "imports mcap"),
-        (arch.owners, "stages/total.py", "oes.config", "rosbags", "stages/total.py imports rosbags"),
-        (arch.owners, "oes/sim/world.py", "", "import matplotlib.pyplot\n", "sim/world.py imports matplotlib"),
+        (
+            arch.owners,
+            "oes/geom/se3.py",
+            "import numpy",
+            "def f():\n  from mcap.reader import x",
+            "imports mcap",
+        ),
+        (
+            arch.owners,
+            "stages/total.py",
+            "oes.config",
+            "rosbags",
+            "stages/total.py imports rosbags",
+        ),
+        (
+            arch.owners,
+            "oes/sim/world.py",
+            "",
+            "import matplotlib.pyplot\n",
+            "sim/world.py imports matplotlib",
+        ),
         (arch.owners, "oes/sim/world.py", "", "import pickle\n", "sim/world.py imports pickle"),
-        (arch.isolation, "oes/control/plan.py", "", "import oes.sim\n", "oes/control reaches sim through oes/sim"),
-        (arch.isolation, "oes/geom/se3.py", "", "import oes.sim\n", "oes/control reaches pybullet through oes/sim"),
-        (arch.isolation, "oes/report/table.py", "", "import oes.control, oes.fit\n", "oes/report reaches fit"),
-        (arch.owners, "oes/report/table.py", "", "import torch.nn\n", "oes/report/table.py imports torch"),
+        (
+            arch.isolation,
+            "oes/mpc/search.py",
+            "",
+            "import oes.sim\n",
+            "oes/mpc reaches sim through oes/sim",
+        ),
+        (
+            arch.isolation,
+            "oes/geom/se3.py",
+            "",
+            "import oes.sim\n",
+            "oes/mpc reaches pybullet through oes/sim",
+        ),
+        (
+            arch.isolation,
+            "oes/report/table.py",
+            "",
+            "import oes.mpc, oes.training.loop\n",
+            "oes/report reaches training.loop",
+        ),
+        (
+            arch.owners,
+            "oes/report/table.py",
+            "",
+            "import torch.nn\n",
+            "oes/report/table.py imports torch",
+        ),
         (arch.words, "stages/stray.py", "", "", "stray: in only one of"),
         (arch.words, "params.yaml", "total", "sum", "total: a stage without a section"),
-        (arch.words, "params.yaml", "total", "sum", "sum: a section of params.yaml that is neither"),
-        (arch.deps, "oes/geom/se3.py", "", "import oes.config\n", "- oes/config.py\n      - oes/geom"),
+        (
+            arch.words,
+            "params.yaml",
+            "total",
+            "sum",
+            "sum: a section of params.yaml that is neither",
+        ),
+        (
+            arch.deps,
+            "oes/geom/se3.py",
+            "",
+            "import oes.config\n",
+            "- oes/config.py\n      - oes/geom",
+        ),
         (arch.deps, "oes/sim/world.py", "from oes.geom import se3", "", "- oes/sim\n"),
-        (arch.deps, "pipeline.yaml", "      - stages/count.py\n", "", "- stages/count.py\n"),
+        (arch.deps, "dvc.yaml", "      - stages/count.py\n", "", "- stages/count.py\n"),
         (
             arch.commands,
-            "pipeline.yaml",
+            "dvc.yaml",
             "--counts datasets/count",
             "--counts datasets/sums",
             "datasets/sums is in its cmd",
         ),
         (
             arch.commands,
-            "pipeline.yaml",
+            "dvc.yaml",
             "--counts datasets/count",
             "--counts datasets/sums",
             "count/up is in its deps",
         ),
-        (arch.commands, "pipeline.yaml", "--task", "--word", "its cmd has flags ['out', 'word']"),
-        (arch.commands, "pipeline.yaml", "-m stages.total", "-m stages.count", "does not run stages.total"),
-        (arch.commands, "pipeline.yaml", "--out reports", "--out report", "--out report is not in its outs"),
-        (arch.produced, "pipeline.yaml", "[up, down]", "[up]", "total: no stage makes datasets/count/down"),
-        (arch.profiles, "params.smoke.yaml", "b: 2", "", "count.a.b: in only one of params.yaml and params.smoke.yaml"),
+        (arch.commands, "dvc.yaml", "--task", "--word", "its cmd has flags ['out', 'word']"),
+        (
+            arch.commands,
+            "dvc.yaml",
+            "-m stages.total",
+            "-m stages.count",
+            "does not run stages.total",
+        ),
+        (
+            arch.commands,
+            "dvc.yaml",
+            "--out reports",
+            "--out report",
+            "--out report is not in its outs",
+        ),
+        (
+            arch.produced,
+            "dvc.yaml",
+            "[up, down]",
+            "[up]",
+            "total: no stage makes datasets/count/down",
+        ),
+        (
+            arch.profiles,
+            "params.smoke.yaml",
+            "b: 2",
+            "",
+            "count.a.b: in only one of params.yaml and params.smoke.yaml",
+        ),
         (arch.profiles, "params.paper.yaml", "b: 3", "b: {d: 3}", "count.a.b.d: in only one of"),
     ],
 )
-def test_planted_fault_is_seen(toy: Path, guard: Guard, name: str, old: str, new: str, says: str) -> None:
+def test_planted_fault_is_seen(
+    toy: Path, guard: Guard, name: str, old: str, new: str, says: str
+) -> None:
     path = toy / name
     path.parent.mkdir(exist_ok=True)
     text = path.read_text(encoding="utf-8") if path.exists() else ""
@@ -155,4 +247,4 @@ def test_rewriting_mends_the_deps(toy: Path) -> None:
     assert list(arch.deps(toy))
     arch.rewrite_deps(toy)
     assert list(arch.deps(toy)) == []
-    assert arch.pipeline(toy)["total"] == arch.yaml.safe_load(TOY["pipeline.yaml"])["stages"]["total"]
+    assert arch.pipeline(toy)["total"] == arch.yaml.safe_load(TOY["dvc.yaml"])["stages"]["total"]

@@ -1,4 +1,6 @@
-"""The viewer: an episode recorded in Bullet, perceived exactly, dragged about; and a real browser that shows it."""
+"""The viewer: an episode recorded in Bullet, perceived exactly, dragged about; and a real browser
+that shows it.
+"""
 
 import shutil
 import subprocess
@@ -12,17 +14,17 @@ import pytest
 import torch
 import viser
 
-from oes.browse.session import Session
-from oes.browse.viewer import Viewer
-from oes.capture import capture
+from oes.apps.view import open_session
+from oes.apps.viewer.session import Session
+from oes.apps.viewer.viewer import Viewer
 from oes.config import load
 from oes.dynamics.checkpoint import load_model
 from oes.episode import Episode
-from oes.percept.network import Scene
-from oes.percept.perceiver import Perceiver
+from oes.episodes.capture import capture
+from oes.perception.network import SceneFeatures
+from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
-from oes.sim.simulate import Episodes
-from oes.view import open_session
+from oes.sim.simulate import EpisodesConfig
 from tests.blocks import make_catalogue, make_weights, read_sim
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -33,7 +35,7 @@ class Seer(Perceiver):
 
     episode: Episode
 
-    def detect(self, scene: Scene) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def detect(self, scene: SceneFeatures) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         first = self.episode.steps[0]
         center, size = (torch.from_numpy(x).float() for x in (first.center_N3, first.size_N3))
         return center, size, torch.ones(len(center))
@@ -43,9 +45,19 @@ class Seer(Perceiver):
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A catalogue, weights and one pushing episode."""
     root = tmp_path_factory.mktemp("browse")
-    catalogue, cfg = make_catalogue(root / "meshes"), load(Path("params.yaml"), "episodes", Episodes)
+    catalogue, cfg = (
+        make_catalogue(root / "meshes"),
+        load(Path("params.yaml"), "episodes", EpisodesConfig),
+    )
     rig = replace(cfg.sim.rig, num_azimuths=1, width_px=64, height_px=64)
-    capture(catalogue, replace(cfg, sim=replace(cfg.sim, rig=rig)), "pushing", "test2", 0, root / "traj_000000")
+    capture(
+        catalogue,
+        replace(cfg, sim=replace(cfg.sim, rig=rig)),
+        "pushing",
+        "test2",
+        0,
+        root / "traj_000000",
+    )
     make_weights(root)
     return root
 
@@ -57,7 +69,9 @@ def viewer(folder: Path) -> Viewer:
     perceiver.episode = source.episodes[0]
     model = load_model(folder / "dynamics" / "pushing-oes")
     server = viser.ViserServer(port=0, verbose=False)
-    return Viewer(server, Session(perceiver, model, source, 1), make_catalogue(folder / "again"), read_sim())
+    return Viewer(
+        server, Session(perceiver, model, source, 1), make_catalogue(folder / "again"), read_sim()
+    )
 
 
 def wait(is_done: Callable[[], bool], seconds: float = 30.0) -> None:
@@ -72,7 +86,9 @@ def test_what_is_dragged_is_forecast_anew_and_can_be_simulated_and_put_back(view
     viewer.panel.T.value = 0
     viewer.update()
     assert np.asarray(viewer.moving[0].position) == pytest.approx(first[0], abs=1e-5)
-    assert "0 mm from what happened" in viewer.panel.status.content and viewer.panel.photograph.visible
+    assert (
+        "0 mm from what happened" in viewer.panel.status.content and viewer.panel.photograph.visible
+    )
     viewer._drag(0, first[0] + np.array([0.03, -0.02, 0.01]))
     wait(lambda: np.allclose(viewer.moving[0].position, first[0] + [0.03, -0.02, 0.0], atol=1e-5))
     wait(lambda: "not simulated yet" in viewer.panel.status.content)
@@ -80,9 +96,18 @@ def test_what_is_dragged_is_forecast_anew_and_can_be_simulated_and_put_back(view
     viewer.simulate()
     wait(lambda: "mm from what happened" in viewer.panel.status.content)
     true = viewer.true[session.first.scene.truth[0]]
-    wait(lambda: true.visible and np.allclose(true.position, first[0] + [0.03, -0.02, 0.0], atol=1e-3))
+    wait(
+        lambda: (
+            true.visible and np.allclose(true.position, first[0] + [0.03, -0.02, 0.0], atol=1e-3)
+        )
+    )
     viewer.restore()
-    wait(lambda: viewer.panel.photograph.visible and np.allclose(viewer.moving[0].position, first[0], atol=1e-5))
+    wait(
+        lambda: (
+            viewer.panel.photograph.visible
+            and np.allclose(viewer.moving[0].position, first[0], atol=1e-5)
+        )
+    )
     assert not session.change.shift_N3.any() and viewer.happened is session.first.episode
 
 
@@ -113,7 +138,10 @@ def test_a_browser_connects_and_draws(viewer: Viewer, tmp_path: Path) -> None:
         wait(lambda: bool(viewer.server.get_clients()), 90.0)
         (client,) = viewer.server.get_clients().values()
         picture = client.get_render(height=120, width=160)
-        assert picture.shape[:2] == (120, 160) and len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 20
+        assert (
+            picture.shape[:2] == (120, 160)
+            and len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 20
+        )
     finally:
         browser.kill()
         browser.wait()

@@ -2,16 +2,18 @@
 
 from pathlib import Path
 
-from oes.compiled import cache_dir
+from oes.jit import cache_dir
 
 
-def test_code_is_kept_apart_for_every_state_of_the_sources_of_compiled_functions(tmp_path: Path) -> None:
-    (tmp_path / "a.py").write_text("@compiled\ndef f(): return g()\n")
-    (tmp_path / "b.py").write_text("@compiled\ndef g(): return 1\n")
+def test_code_is_kept_apart_for_every_state_of_the_sources_of_compiled_functions(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "a.py").write_text("@jit\ndef f(): return g()\n")
+    (tmp_path / "b.py").write_text("@jit\ndef g(): return 1\n")
     (tmp_path / "c.py").write_text("nothing = 0\n")
     first = cache_dir(tmp_path)
     assert first.parent == tmp_path / "__pycache__" and cache_dir(tmp_path) == first
     (tmp_path / "c.py").write_text("nothing = 1\n")
     assert cache_dir(tmp_path) == first, "nothing compiled has changed"
-    (tmp_path / "b.py").write_text("@compiled\ndef g(): return 2\n")
+    (tmp_path / "b.py").write_text("@jit\ndef g(): return 2\n")
     assert cache_dir(tmp_path) != first, "f calls g"

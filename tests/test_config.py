@@ -44,7 +44,11 @@ def test_lists_become_tuples_and_ints_floats(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "complaints"),
     [
-        ("noise_m: 1,", "", ["arm.noise_m: missing", "valid keys of arm: noise_m, bins, kind, is_slow, splits"]),
+        (
+            "noise_m: 1,",
+            "",
+            ["arm.noise_m: missing", "valid keys of arm: noise_m, bins, kind, is_slow, splits"],
+        ),
         ("noise_m: 1,", "noise_m: 1, noize_m: 2,", ["arm.noize_m: unknown key", "noise_m, bins"]),
         ("noise_m: 1,", "noise_m: 1e-3,", ["arm.noise_m", "1.0e-3", "'1e-3'"]),
         ("noise_m: 1,", "noise_m: '1',", ["arm.noise_m", "text"]),
@@ -58,15 +62,24 @@ def test_lists_become_tuples_and_ints_floats(tmp_path: Path) -> None:
         (
             "count: 3",
             "count: 3.0, extra: 1",
-            ["arm.splits.train.extra: unknown key", "valid keys of arm.splits.train: count, margin_m"],
+            [
+                "arm.splits.train.extra: unknown key",
+                "valid keys of arm.splits.train: count, margin_m",
+            ],
         ),
-        ("count: 3, ", "", ["arm.splits.train.count: missing; valid keys of arm.splits.train: count, margin_m"]),
+        (
+            "count: 3, ",
+            "",
+            ["arm.splits.train.count: missing; valid keys of arm.splits.train: count, margin_m"],
+        ),
         ("arm:", "leg:", ["no section 'arm'", "leg"]),
         (GOOD, "", ["no section 'arm'"]),
         ("[1, 2]", "[1, 2", ["not readable as YAML"]),
     ],
 )
-def test_every_refusal_names_file_and_key(tmp_path: Path, old: str, new: str, complaints: list[str]) -> None:
+def test_every_refusal_names_file_and_key(
+    tmp_path: Path, old: str, new: str, complaints: list[str]
+) -> None:
     with pytest.raises(ParamsError) as caught:
         read(tmp_path, GOOD.replace(old, new))
     for part in ["params.yaml", *complaints]:
@@ -77,7 +90,9 @@ def test_every_refusal_names_file_and_key(tmp_path: Path, old: str, new: str, co
 def test_json_round_trip_and_foreign_metadata(tmp_path: Path) -> None:
     cfg = read(tmp_path, GOOD)
     assert from_json(to_json(cfg), Arm) == cfg
-    with pytest.raises(ParamsError, match=r"model\.safetensors: .*count: missing; valid keys: count, margin_m"):
+    with pytest.raises(
+        ParamsError, match=r"model\.safetensors: .*count: missing; valid keys: count, margin_m"
+    ):
         from_json('{"margin_m": 1.0}', Split, "model.safetensors")
     with pytest.raises(ParamsError, match="JSON"):
         from_json("not json", Split)

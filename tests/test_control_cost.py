@@ -4,23 +4,27 @@ import numpy as np
 import pytest
 import torch
 
-from oes.control.cost import Avoid, GoalCost, Scene
-from oes.control.plan import Imagined
-from oes.control.proposals import Footprint, Rod
-from oes.control.way import Clearance, Way
+from oes.mpc.cost import AvoidConfig, GoalCost, PlanningScene
+from oes.mpc.geodesic import DistanceField, GeodesicDistance
+from oes.mpc.sampler import Footprint, Rod
+from oes.mpc.search import Rollouts
 
 ROD = Rod(radius_m=0.008, tip_height_m=0.02, reach_m=0.26)
-AVOID = Avoid(margin_m=0.01, hit_m=1.0)
+AVOID = AvoidConfig(margin_m=0.01, hit_m=1.0)
 
 
 def _disc(center: tuple[float, float], radius_m: float) -> Footprint:
     line = np.arange(-radius_m, radius_m + 1e-9, 0.005)
     points = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
-    return Footprint(np.array(center), points[np.linalg.norm(points, axis=1) <= radius_m] + center, 0.005)
+    return Footprint(
+        np.array(center), points[np.linalg.norm(points, axis=1) <= radius_m] + center, 0.005
+    )
 
 
-def _clearance(*shapes: Footprint) -> Clearance:
-    return Clearance(np.concatenate([np.zeros((0, 2)), *(shape.points_P2 for shape in shapes)]), 0.005, 0.3)
+def _clearance(*shapes: Footprint) -> DistanceField:
+    return DistanceField(
+        np.concatenate([np.zeros((0, 2)), *(shape.points_P2 for shape in shapes)]), 0.005, 0.3
+    )
 
 
 def test_clearance_is_the_distance_from_the_nearest_obstacle() -> None:
@@ -32,7 +36,7 @@ def test_clearance_is_the_distance_from_the_nearest_obstacle() -> None:
 
 
 def test_a_way_without_obstacles_is_straight() -> None:
-    way = Way(np.array([0.1, 0.0]), _clearance(), [], 0.03)
+    way = GeodesicDistance(np.array([0.1, 0.0]), _clearance(), [], 0.03)
     assert way(np.array([[0.1, 0.2], [-0.2, 0.0]])) == pytest.approx([0.2, 0.3])
     assert way.heading(np.array([0.0, 0.1])) == pytest.approx(-np.pi / 4)
 
@@ -40,31 +44,37 @@ def test_a_way_without_obstacles_is_straight() -> None:
 def test_a_way_goes_round_a_disc_by_its_tangents() -> None:
     """Between (-0.2, 0) and (0.2, 0) around a circle of 0.09 m: two tangents and an arc."""
     disc = _disc((0.0, 0.0), 0.06)
-    way = Way(np.array([0.2, 0.0]), _clearance(disc), [(disc.center_2, disc.radius_m)], 0.03)
+    way = GeodesicDistance(
+        np.array([0.2, 0.0]), _clearance(disc), [(disc.center_2, disc.radius_m)], 0.03
+    )
     radius, reach = 0.09, 0.2
     tangents = 2 * np.sqrt(reach**2 - radius**2) + 2 * radius * np.arcsin(radius / reach)
     assert way(np.array([-0.2, 0.0])) == pytest.approx(tangents, rel=0.06)
     assert way(np.array([-0.2, 0.0])) > tangents
-    assert abs(way.heading(np.array([-0.2, 0.01]))) == pytest.approx(np.arcsin(radius / reach), abs=0.15)
+    assert abs(way.heading(np.array([-0.2, 0.01]))) == pytest.approx(
+        np.arcsin(radius / reach), abs=0.15
+    )
     assert way(np.array([0.1, 0.2])) == pytest.approx(np.hypot(0.1, 0.2)), "a free straight way"
     assert np.isfinite(way(np.zeros(2))), "even from within the obstacle"
 
 
-def _imagined(tips: list[list[float]], positions: list[list[float]]) -> Imagined:
+def _imagined(tips: list[list[float]], positions: list[list[float]]) -> Rollouts:
     """One plan of one object and an obstacle that stays, all at height 0."""
     tip, moved = (torch.tensor([[*xy, 0.0] for xy in places]) for places in (tips, positions))
     position = torch.stack([moved, torch.zeros_like(moved)], 1)
-    return Imagined(tip[None], position[None], torch.eye(3).expand(1, len(moved), 2, 3, 3))
+    return Rollouts(tip[None], position[None], torch.eye(3).expand(1, len(moved), 2, 3, 3))
 
 
 def _cost() -> GoalCost:
-    scene = Scene([_disc((-0.15, 0.0), 0.03)], [_disc((0.0, 0.0), 0.04)], ROD, 0.3)
+    scene = PlanningScene([_disc((-0.15, 0.0), 0.03)], [_disc((0.0, 0.0), 0.04)], ROD, 0.3)
     return GoalCost(scene, np.array([[0.2, 0.0, 0.0]]), AVOID)
 
 
 def test_cost_is_the_way_that_remains() -> None:
     cost = _cost()
-    clear = cost(_imagined([[-0.15, -0.05], [-0.15, 0.0], [-0.15, 0.05]], [[-0.15, 0.05], [-0.15, 0.1]]))
+    clear = cost(
+        _imagined([[-0.15, -0.05], [-0.15, 0.0], [-0.15, 0.05]], [[-0.15, 0.05], [-0.15, 0.1]])
+    )
     assert clear.shape == (1, 2) and (clear < 0.5).all()
     assert clear[0, 0] == pytest.approx(cost.at_rest(), abs=0.05) and cost.at_rest() > 0.36
 
@@ -80,7 +90,9 @@ def test_touching_with_object_or_rod_costs_from_then_on() -> None:
 
 
 def test_no_plan_leads_the_rod_out_of_reach() -> None:
-    out = _cost()(_imagined([[-0.2, 0.0], [-0.25, 0.0], [-0.3, 0.0], [-0.2, 0.0]], [[-0.15, 0.0]] * 3))
+    out = _cost()(
+        _imagined([[-0.2, 0.0], [-0.25, 0.0], [-0.3, 0.0], [-0.2, 0.0]], [[-0.15, 0.0]] * 3)
+    )
     assert torch.isfinite(out[0, 0]) and torch.isinf(out[0, 1:]).all()
 
 
@@ -88,8 +100,12 @@ def test_a_shape_turns_with_its_object() -> None:
     """A bar 20 cm long beside the obstacle touches it once it has turned."""
     line = np.arange(-0.1, 0.1, 0.005)
     bar = Footprint(np.array([-0.1, 0.0]), np.stack([np.full_like(line, -0.1), line], 1), 0.005)
-    cost = GoalCost(Scene([bar], [_disc((0.0, 0.0), 0.04)], ROD, 0.3), np.array([[0.2, 0.0, 0.0]]), AVOID)
+    cost = GoalCost(
+        PlanningScene([bar], [_disc((0.0, 0.0), 0.04)], ROD, 0.3),
+        np.array([[0.2, 0.0, 0.0]]),
+        AVOID,
+    )
     still = _imagined([[-0.25, 0.2], [-0.25, 0.2]], [[-0.1, 0.0]])
     quarter = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).expand(1, 1, 2, 3, 3)
-    turned = cost(Imagined(still.tip_SI3, still.position_SHN3, quarter))
+    turned = cost(Rollouts(still.tip_SI3, still.position_SHN3, quarter))
     assert turned[0, 0] - cost(still)[0, 0] == pytest.approx(AVOID.hit_m)

@@ -1,4 +1,6 @@
-"""The planner against problems whose optimum is known, and the proposals against the geometry they must respect."""
+"""The planner against problems whose optimum is known, and the proposals against the geometry they
+must respect.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,53 +11,83 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from oes.control.plan import Imagined, Plan, PlanError, Proposals, Risk, search
-from oes.control.proposals import Footprint, NoFreeStart, Push, PushSampler, Rod, Search, footprint
-from oes.control.track import assign, update
+from oes.mpc.sampler import (
+    Footprint,
+    NoFreeStart,
+    PlannerConfig,
+    PushConfig,
+    PushSampler,
+    Rod,
+    object_footprint,
+)
+from oes.mpc.search import Candidates, Plan, PlanError, RiskConfig, Rollouts, search
+from oes.mpc.tracking import assign, update_tracks
 
-PUSH = Push(attempts=10, length_m=(0.03, 0.06), clearance_m=(0.005, 0.015), aim=0.6, turn_deg=30.0)
-SEARCH = Search(
-    candidates=30, horizon_steps=1, rounds=1, elites=5, toward=0.0, spread_deg=10.0, spread=0.2, shortlist=5, futures=1
+PUSH = PushConfig(
+    attempts=10, length_m=(0.03, 0.06), clearance_m=(0.005, 0.015), aim=0.6, turn_deg=30.0
+)
+SEARCH = PlannerConfig(
+    candidates=30,
+    horizon_steps=1,
+    rounds=1,
+    elites=5,
+    toward=0.0,
+    spread_deg=10.0,
+    spread=0.2,
+    shortlist=5,
+    futures=1,
 )
 ROD = Rod(radius_m=0.008, tip_height_m=0.02, reach_m=0.3)
 
 
-def _double_integrator(proposals: Proposals, futures: int = 1) -> Imagined:
-    """Positions SH13 of a unit mass at rest at the origin under the actions as accelerations, unit time steps."""
+def _double_integrator(proposals: Candidates, futures: int = 1) -> Rollouts:
+    """Positions SH13 of a unit mass at rest at the origin under the actions as accelerations, unit
+    time steps.
+    """
     velocity = proposals.actions_SH3.cumsum(dim=1)
     return _moved(velocity.cumsum(dim=1)[:, :, None])
 
 
-def _moved(position_SHN3: Tensor) -> Imagined:
+def _moved(position_SHN3: Tensor) -> Rollouts:
     samples, horizon = position_SHN3.shape[:2]
-    return Imagined(torch.zeros(samples, horizon + 1, 3), position_SHN3, torch.eye(3).expand(*position_SHN3.shape, 3))
+    return Rollouts(
+        torch.zeros(samples, horizon + 1, 3),
+        position_SHN3,
+        torch.eye(3).expand(*position_SHN3.shape, 3),
+    )
 
 
-def _at_the_end(goal_3: Tensor) -> Callable[[Imagined], Tensor]:
+def _at_the_end(goal_3: Tensor) -> Callable[[Rollouts], Tensor]:
     """Distance from the goal after the last step; it is no use to stop before."""
 
-    def cost(imagined: Imagined) -> Tensor:
+    def cost(imagined: Rollouts) -> Tensor:
         distance_SH = (imagined.position_SHN3[:, :, 0] - goal_3).norm(dim=-1)
         return torch.cat([torch.full_like(distance_SH[:, 1:], torch.inf), distance_SH[:, -1:]], 1)
 
     return cost
 
 
-def _given(actions_SH3: Tensor) -> Proposals:
-    return Proposals(actions_SH3[:, 0], actions_SH3, actions_SH3[..., 0])
+def _given(actions_SH3: Tensor) -> Candidates:
+    return Candidates(actions_SH3[:, 0], actions_SH3, actions_SH3[..., 0])
 
 
 def _along_x(goal: float, actions_SH3: Tensor) -> Plan:
-    return search(lambda _: _given(actions_SH3), _double_integrator, _at_the_end(torch.tensor([goal, 0.0, 0.0])))
+    return search(
+        lambda _: _given(actions_SH3),
+        _double_integrator,
+        _at_the_end(torch.tensor([goal, 0.0, 0.0])),
+    )
 
 
 class Gaussian:
-    """Accelerations along x, drawn anywhere in [-1, 1] and then about the elites, as wide as those are spread."""
+    """Accelerations along x, drawn anywhere in [-1, 1] and then about the elites, as wide as those
+    are spread.
+    """
 
     def __init__(self, count: int, seed: int) -> None:
         self.count, self.generator = count, torch.Generator().manual_seed(seed)
 
-    def __call__(self, elites_EK: Tensor | None) -> Proposals:
+    def __call__(self, elites_EK: Tensor | None) -> Candidates:
         drawn = torch.randn(self.count, 3, generator=self.generator)
         if elites_EK is not None:
             drawn = elites_EK.mean(0) + elites_EK.std(0) * drawn
@@ -65,7 +97,9 @@ class Gaussian:
 
 
 def test_double_integrator_reaches_the_closed_form_optimum() -> None:
-    """With |a| <= 1 for 3 steps, x = 3 a0 + 2 a1 + a2 reaches 6 at most, by a = (1, 1, 1); within 6, distance 0."""
+    """With |a| <= 1 for 3 steps, x = 3 a0 + 2 a1 + a2 reaches 6 at most, by a = (1, 1, 1); within
+    6, distance 0.
+    """
     actions = torch.zeros(20000, 3, 3)
     actions[..., 0] = torch.rand(20000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
     beyond = _along_x(9.0, actions)
@@ -85,7 +119,10 @@ def test_more_rounds_come_closer_than_as_many_plans_in_one() -> None:
 def test_the_best_of_all_rounds_is_kept() -> None:
     offers = iter([torch.tensor([[[1.0, 0, 0]]]), torch.tensor([[[5.0, 0, 0]]])])
     best = search(
-        lambda _: _given(next(offers)), lambda p, _: _moved(p.actions_SH3[:, :, None]), _at_the_end(torch.zeros(3)), 2
+        lambda _: _given(next(offers)),
+        lambda p, _: _moved(p.actions_SH3[:, :, None]),
+        _at_the_end(torch.zeros(3)),
+        2,
     )
     assert best.cost == 1.0 and best.actions_H3.tolist() == [[1.0, 0, 0]]
 
@@ -93,7 +130,11 @@ def test_the_best_of_all_rounds_is_kept() -> None:
 def test_point_mass_picks_the_nearest_candidate_for_every_goal() -> None:
     actions = torch.randn(50, 1, 3, generator=torch.Generator().manual_seed(1))
     for goal in torch.randn(5, 3, generator=torch.Generator().manual_seed(2)):
-        best = search(lambda _: _given(actions), lambda p, _: _moved(p.actions_SH3[:, :, None]), _at_the_end(goal))
+        best = search(
+            lambda _: _given(actions),
+            lambda p, _: _moved(p.actions_SH3[:, :, None]),
+            _at_the_end(goal),
+        )
         distance = (actions[:, 0] - goal).norm(dim=-1)
         assert best.cost == pytest.approx(float(distance.min()))
         assert torch.equal(best.actions_H3[0], actions[distance.argmin(), 0])
@@ -114,18 +155,27 @@ def test_diverged_candidates_are_never_chosen() -> None:
     actions = torch.tensor([[[0.0, 0, 0]], [[1.0, 0, 0]]])
     factor, cost = torch.tensor([torch.nan, 1.0]), _at_the_end(torch.zeros(3))
     best = search(
-        lambda _: _given(actions), lambda p, _: _moved((p.actions_SH3 * factor[:, None, None])[:, :, None]), cost
+        lambda _: _given(actions),
+        lambda p, _: _moved((p.actions_SH3 * factor[:, None, None])[:, :, None]),
+        cost,
     )
     assert best.cost == pytest.approx(1.0)
     with pytest.raises(PlanError, match="no candidate has a finite cost"):
-        search(lambda _: _given(actions), lambda p, _: _moved(p.actions_SH3[:, :, None] * torch.nan), cost)
+        search(
+            lambda _: _given(actions),
+            lambda p, _: _moved(p.actions_SH3[:, :, None] * torch.nan),
+            cost,
+        )
 
 
-def _windy(proposals: Proposals, futures: int) -> Imagined:
-    """A point that goes where it is pushed; in futures but the first, the farther it is pushed at once, the farther it
-    is blown to either side."""
+def _windy(proposals: Candidates, futures: int) -> Rollouts:
+    """A point that goes where it is pushed; in futures but the first, the farther it is pushed at
+    once, the farther it is blown to either side.
+    """
     was_SH3 = proposals.actions_SH3.cumsum(1)
-    wind_DS = torch.linspace(-1, 1, futures)[:, None] * proposals.actions_SH3[:, 0].norm(dim=-1).square()
+    wind_DS = (
+        torch.linspace(-1, 1, futures)[:, None] * proposals.actions_SH3[:, 0].norm(dim=-1).square()
+    )
     aside_DSH3 = torch.zeros(futures, *was_SH3.shape)
     aside_DSH3[1:, ..., 1] = wind_DS[1:, :, None]
     position_FH3 = (was_SH3 + aside_DSH3).flatten(0, 1)
@@ -136,7 +186,12 @@ def test_a_plan_that_may_go_wrong_costs_more_the_more_one_is_averse_to_it() -> N
     bold, timid = [[1.0, 0, 0], [0.0, 0, 0]], [[0.45, 0, 0], [0.45, 0, 0]]
     cost = _at_the_end(torch.tensor([1.0, 0.0, 0.0]))
     plans = {
-        aversion: search(lambda _: _given(torch.tensor([bold, timid])), _windy, cost, risk=Risk(2, 9, aversion))
+        aversion: search(
+            lambda _: _given(torch.tensor([bold, timid])),
+            _windy,
+            cost,
+            risk=RiskConfig(2, 9, aversion),
+        )
         for aversion in (0.0, 1.0)
     }
     once = search(lambda _: _given(torch.tensor([bold, timid])), _windy, cost)
@@ -146,21 +201,30 @@ def test_a_plan_that_may_go_wrong_costs_more_the_more_one_is_averse_to_it() -> N
 
 
 def test_only_the_shortlist_is_imagined_again_and_each_plan_only_to_where_it_cost_least() -> None:
-    seen: list[tuple[Proposals, int]] = []
+    seen: list[tuple[Candidates, int]] = []
 
-    def unroll(proposals: Proposals, futures: int) -> Imagined:
+    def unroll(proposals: Candidates, futures: int) -> Rollouts:
         seen.append((proposals, futures))
         return _windy(proposals, futures)
 
     actions = torch.zeros(20, 3, 3)
     actions[:, 0, 0], actions[:, 1, 0], actions[:, 2, 0] = torch.linspace(0, 1, 20), 0.5, 5.0
     best = search(
-        lambda _: _given(actions), unroll, lambda i: (i.position_SHN3[:, :, 0, 0] - 1).abs(), 1, 2, Risk(3, 4, 0.5)
+        lambda _: _given(actions),
+        unroll,
+        lambda i: (i.position_SHN3[:, :, 0, 0] - 1).abs(),
+        1,
+        2,
+        RiskConfig(3, 4, 0.5),
     )
     assert [(len(proposals.tip_S3), futures) for proposals, futures in seen] == [(20, 1), (3, 4)]
     again_SH = seen[1][0].actions_SH3[..., 0]
-    assert again_SH[:, 1].tolist() == [0.5, 0.5, 0.5] and (again_SH[:, 0] >= 0.4).all(), "two of the three actions"
-    assert best.actions_H3[:, 0].tolist() == [1.0], "what would come after the best place is not looked at again"
+    assert again_SH[:, 1].tolist() == [0.5, 0.5, 0.5] and (again_SH[:, 0] >= 0.4).all(), (
+        "two of the three actions"
+    )
+    assert best.actions_H3[:, 0].tolist() == [1.0], (
+        "what would come after the best place is not looked at again"
+    )
     with pytest.raises(ValueError, match="shortlist must be at least elites"):
         replace(SEARCH, elites=SEARCH.shortlist + 1)
 
@@ -170,26 +234,36 @@ def _square(center: tuple[float, float], half_cells: int) -> Footprint:
     inside = slice(8 - half_cells, 8 + half_cells)
     occupancy[inside, inside, 6:10] = 0.9
     size = np.full(3, half_cells * 0.02)
-    return footprint(np.array([*center, 0.03]), size, occupancy, voxel_m=0.01, threshold=0.5)
+    return object_footprint(np.array([*center, 0.03]), size, occupancy, voxel_m=0.01, threshold=0.5)
 
 
-def _gap(points_P2: NDArray[np.float64], center: tuple[float, float], half_m: float) -> NDArray[np.float64]:
+def _gap(
+    points_P2: NDArray[np.float64], center: tuple[float, float], half_m: float
+) -> NDArray[np.float64]:
     """Distance from points to a square."""
     return np.hypot(*np.maximum(np.abs(points_P2 - np.array(center)) - half_m, 0).T)
 
 
-def _sample(shapes: list[Footprint], cfg: Search = SEARCH, push: Push = PUSH) -> Proposals:
-    return PushSampler(shapes, [], ROD, push, np.random.default_rng(0))(cfg, np.zeros(len(shapes)), None)
+def _sample(
+    shapes: list[Footprint], cfg: PlannerConfig = SEARCH, push: PushConfig = PUSH
+) -> Candidates:
+    return PushSampler(shapes, [], ROD, push, np.random.default_rng(0))(
+        cfg, np.zeros(len(shapes)), None
+    )
 
 
 def test_pushes_set_out_where_asked_and_then_stay_near_the_elites() -> None:
-    sampler = PushSampler([_square((0.0, 0.0), 3)], [_square((0.3, 0.3), 3)], ROD, PUSH, np.random.default_rng(0))
+    sampler = PushSampler(
+        [_square((0.0, 0.0), 3)], [_square((0.3, 0.3), 3)], ROD, PUSH, np.random.default_rng(0)
+    )
     toward = sampler(replace(SEARCH, toward=1.0), np.array([0.7]), None)
     heading = torch.atan2(toward.actions_SH3[:, 0, 1], toward.actions_SH3[:, 0, 0])
     assert heading.mean() == pytest.approx(0.7, abs=0.1) and 0.1 < heading.std() < 0.25
     elites = toward.draws_SK[:2]
     again = sampler(SEARCH, np.array([0.7]), elites)
-    assert torch.equal(again.draws_SK[:2], elites) and torch.equal(again.tip_S3[:2], toward.tip_S3[:2])
+    assert torch.equal(again.draws_SK[:2], elites) and torch.equal(
+        again.tip_S3[:2], toward.tip_S3[:2]
+    )
     assert (again.draws_SK[:, None, 1] - elites[:, 1]).abs().amin(1).max() < 0.7
     assert len(again.tip_S3) == SEARCH.candidates and again.draws_SK[:, 1].std() > 0.05
 
@@ -201,14 +275,20 @@ def test_starts_are_beside_their_object_and_clear_of_every_other() -> None:
     tip = proposals.tip_S3.numpy().astype(float)
     assert len(tip) == 30 and set(object_i) == {0, 1} and tip[:, 2] == pytest.approx(0.02)
     gaps = np.stack([_gap(tip[:, :2], center, 0.03) for center in centers], axis=1)
-    assert gaps.min() >= ROD.radius_m + PUSH.clearance_m[0] - 1e-3, "a rod starts inside an object's clearance"
+    assert gaps.min() >= ROD.radius_m + PUSH.clearance_m[0] - 1e-3, (
+        "a rod starts inside an object's clearance"
+    )
     own = gaps[np.arange(30), object_i]
-    assert own.max() <= ROD.radius_m + PUSH.clearance_m[1] + 0.003, "a start is not beside its object"
+    assert own.max() <= ROD.radius_m + PUSH.clearance_m[1] + 0.003, (
+        "a start is not beside its object"
+    )
     assert own.max() - own.min() > 0.005, "clearances do not vary"
 
 
 def test_pushes_meet_their_object_with_the_asked_lengths() -> None:
-    proposals = _sample([_square((0.05, -0.05), 2)], replace(SEARCH, horizon_steps=4), replace(PUSH, aim=0.9))
+    proposals = _sample(
+        [_square((0.05, -0.05), 2)], replace(SEARCH, horizon_steps=4), replace(PUSH, aim=0.9)
+    )
     actions, tip = proposals.actions_SH3.numpy(), proposals.tip_S3.numpy()
     length = np.linalg.norm(actions, axis=-1)
     assert actions.shape == (30, 4, 3) and (actions[..., 2] == 0).all()
@@ -228,7 +308,9 @@ def test_the_rod_stays_within_reach() -> None:
 
 def test_empty_mask_falls_back_to_the_box() -> None:
     nothing = np.zeros((16, 16, 16), np.float32)
-    shape = footprint(np.array([0.1, 0.0, 0.02]), np.array([0.08, 0.04, 0.04]), nothing, 0.01, 0.5)
+    shape = object_footprint(
+        np.array([0.1, 0.0, 0.02]), np.array([0.08, 0.04, 0.04]), nothing, 0.01, 0.5
+    )
     assert np.ptp(shape.points_P2, axis=0) == pytest.approx([0.08, 0.04])
 
 
@@ -248,7 +330,9 @@ def test_assignment_is_joint_gated_and_one_to_one() -> None:
 
 def test_an_unseen_object_keeps_its_estimate() -> None:
     center, size = np.array([[0.0, 0, 0], [0.2, 0, 0]]), np.full((2, 3), 0.05)
-    new_center, new_size, seen = update(center, size, np.array([[0.21, 0, 0]]), np.full((1, 3), 0.07), 0.06)
+    new_center, new_size, seen = update_tracks(
+        center, size, np.array([[0.21, 0, 0]]), np.full((1, 3), 0.07), 0.06
+    )
     assert seen.tolist() == [False, True]
     assert new_center[:, 0].tolist() == [0.0, 0.21] and new_size[:, 0].tolist() == [0.05, 0.07]
     assert center[1, 0] == 0.2, "the caller's arrays are not changed"

@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from oes.control.plan import Proposals
-from oes.dynamics.certainty import LEAST_M, calibrated, lengths
 from oes.dynamics.contact import Contact
-from oes.dynamics.shapes import Doubt, shapes_of, unpacked
-from oes.dynamics.skin import SkinSight
-from oes.dynamics.unroll import at_rest, future_from, single_steps, unroll
-from oes.measure import error_nll, error_quantile
-from oes.objects import BANDS, FOOT, Objects
-from oes.trial.minds import Belief, GraphMind
+from oes.dynamics.encoders.surface_encoder import SurfaceEncoder
+from oes.dynamics.error_model import MIN_SIGMA_M, errors_and_spreads, fit_error_model
+from oes.dynamics.shapes import ShapeUncertainty, shapes_of, unpacked
+from oes.dynamics.unroll import initial_state, rollout_from, teacher_forced, unroll
+from oes.metrics.errors import error_nll, error_quantile
+from oes.mpc.search import Candidates
+from oes.objects import LAYERS, SUPPORT, Objects
+from oes.trials.world_models import GraphWorldModel, StateEstimate
 from tests.test_dynamics_models import NET, SEEN, make_actions, make_model, make_objects
 
-DOUBT = Doubt(draws=400, outline=1.0, waves=3, mass_m=0.002, log_mass=0.1, log_friction=0.2)
+DOUBT = ShapeUncertainty(
+    draws=400, outline=1.0, waves=3, mass_m=0.002, log_mass=0.1, log_friction=0.2
+)
 
 
 def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_there() -> None:
@@ -32,11 +34,13 @@ def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_
 
 def test_objects_stand_on_their_foot_or_where_none_is_seen_on_their_lowest_band() -> None:
     objects = make_objects(scenes=1, num=2)
-    objects.outline_NRK3[:, :, FOOT, :, 0], objects.outline_NRK3[:, :, BANDS, :, 0] = 0.02, 0.03
-    objects.outline_NRK3[:, 1, FOOT, :, 2] = 0.05
+    objects.outline_NRK3[:, :, SUPPORT, :, 0], objects.outline_NRK3[:, :, LAYERS, :, 0] = 0.02, 0.03
+    objects.outline_NRK3[:, 1, SUPPORT, :, 2] = 0.05
     bodies = shapes_of(objects).bodies(objects.valid_N, 0.02)
     away_BNM = (bodies.feet_BNM2 + bodies.mass_BN2[:, :, None]).norm(dim=-1)
-    torch.testing.assert_close(away_BNM, torch.tensor([0.02, 0.03])[None, :, None].expand(away_BNM.shape))
+    torch.testing.assert_close(
+        away_BNM, torch.tensor([0.02, 0.03])[None, :, None].expand(away_BNM.shape)
+    )
 
 
 def test_draws_begin_with_the_objects_as_they_seem_and_vary_as_much_as_is_said() -> None:
@@ -46,7 +50,9 @@ def test_draws_begin_with_the_objects_as_they_seem_and_vary_as_much_as_is_said()
     for name, value in vars(shapes).items():
         torch.testing.assert_close(first[name], value)
     by_draw = drawn.radius_BNRK.unflatten(0, (DOUBT.draws, -1)) - shapes.radius_BNRK
-    assert float(by_draw.std(0).mean()) == pytest.approx(0.002 * 2**0.5, rel=0.1), "the Laplace law's own deviation"
+    assert float(by_draw.std(0).mean()) == pytest.approx(0.002 * 2**0.5, rel=0.1), (
+        "the Laplace law's own deviation"
+    )
     assert float(drawn.heavy_BN.log().std()) == pytest.approx(0.1, rel=0.1)
     assert float(drawn.rough_BN.log().std()) == pytest.approx(0.2, rel=0.1)
     torch.testing.assert_close(by_draw[:, 0, 0], by_draw[:, 1, 2], msg="all objects are off alike")
@@ -55,17 +61,27 @@ def test_draws_begin_with_the_objects_as_they_seem_and_vary_as_much_as_is_said()
 @torch.no_grad()
 def test_a_forecast_is_the_mean_of_its_futures_and_their_spread_its_doubt() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
-    objects = replace(objects, center_N3=objects.center_N3 * torch.tensor([1.0, 1.0, 0.0]) + tip[:, None] * 0.5)
+    objects = replace(
+        objects, center_N3=objects.center_N3 * torch.tensor([1.0, 1.0, 0.0]) + tip[:, None] * 0.5
+    )
     model = make_model("contact", objects)
     assert isinstance(model, Contact) and model.drawn == NET.contact.doubt.draws == 3
     found = unroll(model, objects, tip, actions)
     futures = [
-        future_from(model, part, at_rest(objects.center_N3, objects.valid_N), tip, actions).translation_BTN3
+        rollout_from(
+            model, part, initial_state(objects.center_N3, objects.valid_N), tip, actions
+        ).translation_BTN3
         for part in model.redrawn(model.appearance(objects)).chunk(3)
     ]
-    torch.testing.assert_close(found.translation_BTN3, torch.stack(futures).mean(0), atol=1e-5, rtol=1e-4)
-    assert found.spread_BTN is not None and found.scale_BTN is None and float(found.spread_BTN.max()) > 1e-4
-    model.certainty = calibrated(np.full((5, 50), 0.01), np.full((5, 50), 0.01))
+    torch.testing.assert_close(
+        found.translation_BTN3, torch.stack(futures).mean(0), atol=1e-5, rtol=1e-4
+    )
+    assert (
+        found.spread_BTN is not None
+        and found.scale_BTN is None
+        and float(found.spread_BTN.max()) > 1e-4
+    )
+    model.certainty = fit_error_model(np.full((5, 50), 0.01), np.full((5, 50), 0.01))
     assert unroll(model, objects, tip, actions).scale_BTN is not None
     assert model.train().drawn == 1, "training sees the objects as they seem"
 
@@ -73,7 +89,9 @@ def test_a_forecast_is_the_mean_of_its_futures_and_their_spread_its_doubt() -> N
 @torch.no_grad()
 def test_what_nothing_touches_stays_whatever_the_graph_network_says() -> None:
     objects = make_objects(scenes=1)
-    objects = replace(objects, center_N3=torch.tensor([[[0.06, 0.0, 0.04], [0.0, 0.3, 0.04], [0.0, -0.3, 0.04]]]))
+    objects = replace(
+        objects, center_N3=torch.tensor([[[0.06, 0.0, 0.04], [0.0, 0.3, 0.04], [0.0, -0.3, 0.04]]])
+    )
     model = make_model("contact", objects)
     assert isinstance(model, Contact)
     torch.nn.init.normal_(model.graph.head.weight, std=0.1)
@@ -90,13 +108,23 @@ def test_what_nothing_touches_stays_whatever_the_graph_network_says() -> None:
 def test_a_plan_meets_as_many_futures_as_asked_for_and_drawn(futures: int, draws: int) -> None:
     objects = make_objects(scenes=1)
     scene = Objects(**{name: value[0] for name, value in vars(objects).items()})
-    seen = Belief(scene, scene.center_N3.double().numpy(), scene.size_N3.double().numpy(), np.ones(3, bool), None)
-    proposals = Proposals(torch.zeros(10, 3), torch.tensor([0.03, 0.0, 0.0]).expand(10, 2, 3), torch.zeros(10, 1))
-    mind = GraphMind(make_model("contact", objects))
+    seen = StateEstimate(
+        scene,
+        scene.center_N3.double().numpy(),
+        scene.size_N3.double().numpy(),
+        np.ones(3, bool),
+        None,
+    )
+    proposals = Candidates(
+        torch.zeros(10, 3), torch.tensor([0.03, 0.0, 0.0]).expand(10, 2, 3), torch.zeros(10, 1)
+    )
+    mind = GraphWorldModel(make_model("contact", objects))
     found, once = (mind.imagine(seen, np.zeros((1, 3)), proposals, count) for count in (futures, 1))
     assert mind.draws_futures and found.draws == draws
     assert found.position_SHN3.shape == (draws * 10, 2, 3, 3)
-    torch.testing.assert_close(found.position_SHN3[:10], once.position_SHN3, msg="the first is of what is seen")
+    torch.testing.assert_close(
+        found.position_SHN3[:10], once.position_SHN3, msg="the first is of what is seen"
+    )
 
 
 @torch.no_grad()
@@ -104,11 +132,17 @@ def test_single_steps_begin_where_objects_truly_were() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model("contact", objects).train()
     whole = unroll(model, objects, tip, actions)
-    steps = single_steps(model, objects, tip, actions, whole.translation_BTN3, whole.rotation_BTN33)
-    torch.testing.assert_close(steps.translation_BTN3[:, 0], whole.translation_BTN3[:, 0], atol=1e-5, rtol=1e-4)
+    steps = teacher_forced(
+        model, objects, tip, actions, whole.translation_BTN3, whole.rotation_BTN33
+    )
+    torch.testing.assert_close(
+        steps.translation_BTN3[:, 0], whole.translation_BTN3[:, 0], atol=1e-5, rtol=1e-4
+    )
     far = torch.full_like(whole.translation_BTN3, 5.0)
-    apart = single_steps(model, objects, tip, actions, far, whole.rotation_BTN33)
-    assert (apart.translation_BTN3[:, 1:] - 5).abs().max() < 0.5, "motion goes on from the given place"
+    apart = teacher_forced(model, objects, tip, actions, far, whole.rotation_BTN33)
+    assert (apart.translation_BTN3[:, 1:] - 5).abs().max() < 0.5, (
+        "motion goes on from the given place"
+    )
 
 
 def test_calibration_finds_the_law_that_errors_were_drawn_from() -> None:
@@ -117,24 +151,31 @@ def test_calibration_finds_the_law_that_errors_were_drawn_from() -> None:
     scale_TP = np.hypot(np.array([[0.001], [0.002], [0.004]]), 1.5 * spread_TP)
     level_TP = rng.uniform(0, 1, scale_TP.shape)
     error_TP = scale_TP * np.sqrt(4.0 * ((1 - level_TP) ** (-2 / 4.0) - 1))
-    found = calibrated(error_TP, spread_TP)
+    found = fit_error_model(error_TP, spread_TP)
     assert found.floor_T == pytest.approx((0.001, 0.002, 0.004), rel=0.15)
     assert found.gain == pytest.approx(1.5, rel=0.05) and found.tail == pytest.approx(4.0, rel=0.15)
     scale = found.scale(torch.from_numpy(spread_TP)[None]).numpy()[0]
     for level in (0.5, 0.9):
-        assert (error_TP < error_quantile(level, scale, found.tail)).mean() == pytest.approx(level, abs=0.01)
+        assert (error_TP < error_quantile(level, scale, found.tail)).mean() == pytest.approx(
+            level, abs=0.01
+        )
     same = np.broadcast_to(np.array(found.same_T)[:, None], scale.shape)
-    assert error_nll(error_TP, scale, found.tail).mean() < error_nll(error_TP, same, found.same_tail).mean()
+    assert (
+        error_nll(error_TP, scale, found.tail).mean()
+        < error_nll(error_TP, same, found.same_tail).mean()
+    )
     more = found.scale(torch.zeros(1, 5, 1))
-    assert more[0, 3:, 0].tolist() == [pytest.approx(found.floor_T[-1])] * 2, "later steps count as the last"
+    assert more[0, 3:, 0].tolist() == [pytest.approx(found.floor_T[-1])] * 2, (
+        "later steps count as the last"
+    )
 
 
 def test_what_rests_does_not_make_the_law_too_sure_of_what_moves() -> None:
     rng = np.random.default_rng(0)
     spread_TP = rng.gamma(2.0, 0.005, (3, 400)) * (np.arange(400) % 4 > 0)
     error_TP = np.linalg.norm(rng.normal(size=(3, 400, 2)), axis=-1) * np.maximum(spread_TP, 1e-5)
-    found = calibrated(error_TP, spread_TP)
-    assert found.floor_T == pytest.approx([LEAST_M] * 3)
+    found = fit_error_model(error_TP, spread_TP)
+    assert found.floor_T == pytest.approx([MIN_SIGMA_M] * 3)
     moved = spread_TP > 0
     scale_TP = found.scale(torch.from_numpy(spread_TP)[None]).numpy()[0]
     assert 0.85 < (error_TP < error_quantile(0.9, scale_TP, found.tail))[moved].mean() < 0.95
@@ -143,28 +184,40 @@ def test_what_rests_does_not_make_the_law_too_sure_of_what_moves() -> None:
 def test_lengths_are_of_valid_objects_only() -> None:
     true = torch.zeros(2, 3, 2, 3)
     found = true + torch.tensor([0.03, 0.04, 0.0])
-    error_TP, spread_TP = lengths(found, true, torch.ones(2, 3, 2), torch.tensor([[True, False], [True, True]]))
+    error_TP, spread_TP = errors_and_spreads(
+        found, true, torch.ones(2, 3, 2), torch.tensor([[True, False], [True, True]])
+    )
     assert error_TP.shape == spread_TP.shape == (3, 3) and error_TP == pytest.approx(0.05)
 
 
 def test_points_know_how_far_they_are_above_and_below_another_object() -> None:
-    """Two discs 50 mm high (bands of 20 mm, the third half full), one 30 mm above the other and aside by 20 mm."""
+    """Two discs 50 mm high (bands of 20 mm, the third half full), one 30 mm above the other and
+    aside by 20 mm.
+    """
     objects = make_objects(scenes=1, num=2)
     outline = torch.zeros(1, 2, SEEN.outline_rows, SEEN.outline_directions, 3)
     outline[:, :, :6] = torch.tensor([0.03, 0.001, 1.0])
     size = torch.tensor([0.06, 0.06, 0.05]).expand(1, 2, 3)
     center = torch.tensor([[[0.0, 0.0, 0.025], [0.02, 0.0, 0.105]]])
     objects = replace(objects, center_N3=center, size_N3=size, outline_NRK3=outline)
-    sight = SkinSight(replace(NET.contact.skin, rows=(3, 4, 5)), NET.graph.unit_m)
-    state, shapes = at_rest(center, objects.valid_N), shapes_of(objects)
+    sight = SurfaceEncoder(replace(NET.contact.skin, rows=(3, 4, 5)), NET.graph.unit_m)
+    state, shapes = initial_state(center, objects.valid_N), shapes_of(objects)
     first_BNP3, _, _, there_BNP = sight._points(shapes, torch.eye(3)[None], state.turned_BN33)
     assert (there_BNP == 1).all()
     place_BNP3 = first_BNP3 + center[:, :, None]
-    assert place_BNP3[0, :, :, 2].unique().tolist() == pytest.approx([0.01, 0.03, 0.05, 0.09, 0.11, 0.13])
+    assert place_BNP3[0, :, :, 2].unique().tolist() == pytest.approx(
+        [0.01, 0.03, 0.05, 0.09, 0.11, 0.13]
+    )
     numbers = sight._inside(shapes, state, place_BNP3, torch.eye(3)[None]) * NET.graph.unit_m
     above_P, below_P = numbers[0, 1, 0, :, 5], numbers[0, 0, 1, :, 6]
     near_P = place_BNP3[0, 1, :, 0].hypot(place_BNP3[0, 1, :, 1]) < 0.0299
-    assert above_P[near_P].unique().tolist() == pytest.approx([0.03, 0.05, 0.07]), "of each band's bottom"
+    assert above_P[near_P].unique().tolist() == pytest.approx([0.03, 0.05, 0.07]), (
+        "of each band's bottom"
+    )
     assert above_P[~near_P].min() == pytest.approx(0.2), "nothing is below these"
-    assert float(below_P.min()) == pytest.approx(0.03), "the lower disc's top to the upper one's bottom"
-    assert numbers[0, 0, 0, :, 4].amin() == pytest.approx(0.01), "a point of the lowest band above its own foot"
+    assert float(below_P.min()) == pytest.approx(0.03), (
+        "the lower disc's top to the upper one's bottom"
+    )
+    assert numbers[0, 0, 0, :, 4].amin() == pytest.approx(0.01), (
+        "a point of the lowest band above its own foot"
+    )

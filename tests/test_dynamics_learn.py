@@ -9,23 +9,29 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from oes.checkpoint import Fit
 from oes.config import ParamsError, to_json
 from oes.dynamics import VARIANTS
 from oes.dynamics.augment import Augment
-from oes.dynamics.bounds import Simulator
-from oes.dynamics.checkpoint import FILE, CheckpointError, load, load_model, save_model
-from oes.dynamics.learn import gather, learn
+from oes.dynamics.checkpoint import (
+    MODEL_FILE,
+    ModelFileError,
+    load_any_model,
+    load_model,
+    save_model,
+)
+from oes.dynamics.learn import build_model, training_examples
 from oes.dynamics.models import OES, GraphXYZ, GraphXYZImageFixed
-from oes.dynamics.train import Dynamics, Variant
-from oes.dynamics.unroll import Model, unroll
+from oes.dynamics.reference_models import Simulator
+from oes.dynamics.train import TaskConfig, Variant
+from oes.dynamics.unroll import DynamicsModel, unroll
 from oes.episode import Episode
 from oes.geom.se3 import transform
 from oes.objects import Objects
+from oes.training.checkpoint import TrainConfig
 from tests.factories import make_episode
 from tests.test_dynamics_models import NET, SEEN, make_actions, make_model, make_objects
 
-FIT = Fit(
+FIT = TrainConfig(
     steps=6,
     batch=4,
     optimizer="adamw",
@@ -39,7 +45,7 @@ FIT = Fit(
     log_every_steps=2,
     seed=0,
 )
-CFG = Dynamics(
+CFG = TaskConfig(
     draws={"random": ("train1", "train2"), "fixed": ("fixed",)},
     net=NET,
     augment=Augment(turn=True, mirror=True, shift_m=0.004),
@@ -51,7 +57,8 @@ CFG = Dynamics(
     fit=FIT,
     fits={},
     variants={
-        word: Variant(0, word != "contact_step", word != "contact_still", word == "contact_true") for word in VARIANTS
+        word: Variant(0, word != "contact_step", word != "contact_still", word == "contact_true")
+        for word in VARIANTS
     },
 )
 SETTINGS = ("train1", "train2", "fixed")
@@ -61,7 +68,9 @@ class Scenes:
     """Six episodes of one or two objects, each drawn once in every setting."""
 
     def __init__(self) -> None:
-        self.episodes = {i: make_episode(seed=i, num_steps=6, num_objects=1 + i % 2) for i in range(6)}
+        self.episodes = {
+            i: make_episode(seed=i, num_steps=6, num_objects=1 + i % 2) for i in range(6)
+        }
 
     def draws(self, setting: str) -> list[int]:
         return [SETTINGS.index(setting) * 6 + i for i in range(6)]
@@ -71,7 +80,9 @@ class Scenes:
 
     def scene(self, draw_i: int) -> tuple[Objects, Tensor]:
         num = len(self.episodes[draw_i % 6].bodies)
-        objects = Objects(**{k: v[0] for k, v in vars(make_objects(scenes=1, num=num, seed=draw_i)).items()})
+        objects = Objects(
+            **{k: v[0] for k, v in vars(make_objects(scenes=1, num=num, seed=draw_i)).items()}
+        )
         return objects, torch.arange(num)
 
     def with_true_surfaces(self) -> "Scenes":
@@ -85,7 +96,7 @@ def scenes() -> Scenes:
 
 
 def test_examples_hold_the_true_motion_of_the_perceived_point(scenes: Scenes) -> None:
-    seen, data = gather(OES, CFG, scenes, scenes.episodes)
+    seen, data = training_examples(OES, CFG, scenes, scenes.episodes)
     assert seen == SEEN
     assert data.objects.crop_NCXYZ.shape == (12, 2, 2, 16, 16, 16)
     assert data.objects.image_NV3HW.shape[-1] == 1
@@ -100,7 +111,7 @@ def test_examples_hold_the_true_motion_of_the_perceived_point(scenes: Scenes) ->
 
 
 def test_all_draws_of_an_episode_are_held_out_together(scenes: Scenes) -> None:
-    _, data = gather(OES, CFG, scenes, scenes.episodes)
+    _, data = training_examples(OES, CFG, scenes, scenes.episodes)
     train_D, held_D = data.split(CFG.held_out)
     train_episodes, held_episodes = (set(data.episode_D[d].tolist()) for d in (train_D, held_D))
     assert held_episodes
@@ -109,25 +120,27 @@ def test_all_draws_of_an_episode_are_held_out_together(scenes: Scenes) -> None:
 
 
 def test_the_fixed_camera_has_draws_of_its_own(scenes: Scenes) -> None:
-    _, data = gather(GraphXYZImageFixed, CFG, scenes, scenes.episodes)
+    _, data = training_examples(GraphXYZImageFixed, CFG, scenes, scenes.episodes)
     assert len(data.tip_D3) == 6
     with pytest.raises(ValueError, match="fixed"):
-        gather(GraphXYZImageFixed, replace(CFG, draws={"random": ("train1",)}), scenes, scenes.episodes)
+        training_examples(
+            GraphXYZImageFixed, replace(CFG, draws={"random": ("train1",)}), scenes, scenes.episodes
+        )
 
 
 def test_missing_episodes_are_left_out(scenes: Scenes) -> None:
-    _, data = gather(GraphXYZ, CFG, scenes, {i: scenes.episodes[i] for i in (0, 3)})
+    _, data = training_examples(GraphXYZ, CFG, scenes, {i: scenes.episodes[i] for i in (0, 3)})
     assert set(data.episode_D.tolist()) == {0, 3}
 
 
 @pytest.mark.parametrize("word", ["oes", "graph_xyz_image"])
 def test_a_trained_model_comes_back_from_disk(word: str, scenes: Scenes, tmp_path: Path) -> None:
-    model, log = learn(word, CFG, scenes, scenes.episodes, tmp_path)
+    model, log = build_model(word, CFG, scenes, scenes.episodes, tmp_path)
     assert log[-1]["step"] == CFG.fit.steps
     assert {"translation", "rotation", "mm_5", "deg_5"} <= set(log[-1])
     save_model(tmp_path, model)
     again, objects = load_model(tmp_path), make_objects()
-    assert isinstance(model, Model)
+    assert isinstance(model, DynamicsModel)
     tip, actions = make_actions()
     with torch.no_grad():
         expected = unroll(model, objects, tip, actions).translation_BTN3
@@ -138,51 +151,62 @@ def test_training_again_gives_the_same_weights(scenes: Scenes, tmp_path: Path) -
     runs = []
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        runs.append(learn("graph_xyz", CFG, scenes, scenes.episodes, tmp_path / name)[0].state_dict())
+        runs.append(
+            build_model("graph_xyz", CFG, scenes, scenes.episodes, tmp_path / name)[0].state_dict()
+        )
     assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
 
 
 def test_the_simulator_takes_the_mean_of_all_bodies(scenes: Scenes, tmp_path: Path) -> None:
-    model, log = learn("simulator", CFG, scenes, scenes.episodes, tmp_path)
+    model, log = build_model("simulator", CFG, scenes, scenes.episodes, tmp_path)
     save_model(tmp_path, model)
-    again = load(tmp_path)
+    again = load_any_model(tmp_path)
     assert isinstance(again, Simulator)
     bodies = [body for episode in scenes.episodes.values() for body in episode.bodies]
     assert float(again.mass_kg) == pytest.approx(np.mean([body.mass_kg for body in bodies]))
     assert float(again.friction) == pytest.approx(np.mean([body.friction for body in bodies]))
     assert log == []
-    with pytest.raises(CheckpointError, match="not a forecaster"):
+    with pytest.raises(ModelFileError, match="not a forecaster"):
         load_model(tmp_path)
 
 
 def test_static_is_saved_and_forecasts_rest(scenes: Scenes, tmp_path: Path) -> None:
-    save_model(tmp_path, learn("static", CFG, scenes, scenes.episodes, tmp_path)[0])
+    save_model(tmp_path, build_model("static", CFG, scenes, scenes.episodes, tmp_path)[0])
     found = unroll(load_model(tmp_path), make_objects(), *make_actions())
     assert not found.translation_BTN3.any()
 
 
 def test_a_loader_refuses_what_it_does_not_know(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"model\.safetensors"):
-        load(tmp_path)
-    (tmp_path / FILE).write_bytes(b"not weights")
-    with pytest.raises(CheckpointError, match="not a readable safetensors file"):
-        load(tmp_path)
-    save_file({"x": torch.zeros(1)}, tmp_path / FILE, {"format": "other"})
-    with pytest.raises(CheckpointError, match="format is 'other'"):
-        load(tmp_path)
-    save_file({"x": torch.zeros(1)}, tmp_path / FILE, {"format": "oes-dynamics-2", "model": "planet"})
-    with pytest.raises(CheckpointError, match="unknown model 'planet'"):
-        load(tmp_path)
+        load_any_model(tmp_path)
+    (tmp_path / MODEL_FILE).write_bytes(b"not weights")
+    with pytest.raises(ModelFileError, match="not a readable safetensors file"):
+        load_any_model(tmp_path)
+    save_file({"x": torch.zeros(1)}, tmp_path / MODEL_FILE, {"format": "other"})
+    with pytest.raises(ModelFileError, match="format is 'other'"):
+        load_any_model(tmp_path)
+    save_file(
+        {"x": torch.zeros(1)},
+        tmp_path / MODEL_FILE,
+        {"format": "oes-dynamics-2", "model": "planet"},
+    )
+    with pytest.raises(ModelFileError, match="unknown model 'planet'"):
+        load_any_model(tmp_path)
 
 
 def test_a_loader_refuses_weights_that_do_not_fit_their_config(tmp_path: Path) -> None:
     save_model(tmp_path, make_model("graph_xyz", make_objects()))
-    tensors = load_file(tmp_path / FILE)
+    tensors = load_file(tmp_path / MODEL_FILE)
     wider = replace(NET, graph=replace(NET.graph, width=24))
-    about = {"format": "oes-dynamics-2", "model": "graph_xyz", "net": to_json(wider), "seen": to_json(SEEN)}
-    save_file(tensors, tmp_path / FILE, about)
-    with pytest.raises(CheckpointError, match="do not fit"):
-        load(tmp_path)
-    save_file(tensors, tmp_path / FILE, about | {"net": '{"graph": 3}'})
+    about = {
+        "format": "oes-dynamics-2",
+        "model": "graph_xyz",
+        "net": to_json(wider),
+        "seen": to_json(SEEN),
+    }
+    save_file(tensors, tmp_path / MODEL_FILE, about)
+    with pytest.raises(ModelFileError, match="do not fit"):
+        load_any_model(tmp_path)
+    save_file(tensors, tmp_path / MODEL_FILE, about | {"net": '{"graph": 3}'})
     with pytest.raises(ParamsError, match=r"model\.safetensors"):
-        load(tmp_path)
+        load_any_model(tmp_path)

@@ -7,25 +7,40 @@ import torch
 from torch import Tensor
 
 from oes.dynamics import MODELS
-from oes.dynamics.augment import Batch, moved, turn_flip
-from oes.dynamics.bodies import Physics
-from oes.dynamics.bounds import Static
-from oes.dynamics.graph import Graph
+from oes.dynamics.augment import DynamicsBatch, transform_batch, turn_flip
+from oes.dynamics.encoders.crop_encoder import CropConfig, CropEncoder, fold
+from oes.dynamics.encoders.surface_encoder import ContactConfig, SurfacePoints
+from oes.dynamics.graph import GraphConfig
 from oes.dynamics.loss import errors, loss_terms
-from oes.dynamics.models import OES, GraphXYZ, ImageNet, Learned, Net, Seen
-from oes.dynamics.shapes import Doubt
-from oes.dynamics.skin import ContactNet, Skin
-from oes.dynamics.slabs import Crop, SlabSight, fold
-from oes.dynamics.unroll import Model, advance, at_rest, future_from, unroll, unroll_from
+from oes.dynamics.models import OES, GraphModel, GraphXYZ, ImageEncoderConfig, InputSpec, NetConfig
+from oes.dynamics.reference_models import Static
+from oes.dynamics.rigid_body.bodies import ContactPhysics
+from oes.dynamics.shapes import ShapeUncertainty
+from oes.dynamics.unroll import (
+    DynamicsModel,
+    advance_state,
+    initial_state,
+    rollout_from,
+    unroll,
+    unroll_from,
+)
 from oes.objects import Objects
 
-NET = Net(
-    graph=Graph(width=16, layers=3, rounds=2, unit_m=0.05, spin=True),
-    crop=Crop(sight="slabs", read=2, slabs=2, channels=(4, 8, 8), width=16, cell_m=0.01, path_cell_m=0.0075),
-    image=ImageNet(channels=(4, 8), width=16),
-    contact=ContactNet(
-        skin=Skin(every=4, rows=(0, 1), band_m=0.02, width=8, layers=2),
-        physics=Physics(
+NET = NetConfig(
+    graph=GraphConfig(width=16, layers=3, rounds=2, unit_m=0.05, spin=True),
+    crop=CropConfig(
+        sight="slabs",
+        read=2,
+        slabs=2,
+        channels=(4, 8, 8),
+        width=16,
+        cell_m=0.01,
+        path_cell_m=0.0075,
+    ),
+    image=ImageEncoderConfig(channels=(4, 8), width=16),
+    contact=ContactConfig(
+        skin=SurfacePoints(every=4, rows=(0, 1), band_m=0.02, width=8, layers=2),
+        physics=ContactPhysics(
             step_s=0.2,
             parts=4,
             table_friction=0.4,
@@ -37,15 +52,35 @@ NET = Net(
             tip_m=0.018,
             rounds=2,
         ),
-        doubt=Doubt(draws=3, outline=1.0, waves=2, mass_m=0.002, log_mass=0.1, log_friction=0.1),
+        doubt=ShapeUncertainty(
+            draws=3, outline=1.0, waves=2, mass_m=0.002, log_mass=0.1, log_friction=0.1
+        ),
         step_s=0.2,
         true_surfaces=False,
     ),
 )
-FALLING, SURFACES_FALLING = "oes falling", "contact falling"  # the same models, reading what falls ask for
-LEARNED = [*(word for word, kind in MODELS.items() if issubclass(kind, Learned)), FALLING, SURFACES_FALLING]
-FORECASTERS = [*(word for word, kind in MODELS.items() if issubclass(kind, Model)), FALLING, SURFACES_FALLING]
-SEEN = Seen(crop_channels=2, crop_side=16, voxel_m=0.01, image_side_px=32, outline_rows=7, outline_directions=32)
+FALLING, SURFACES_FALLING = (
+    "oes falling",
+    "contact falling",
+)  # the same models, reading what falls ask for
+LEARNED = [
+    *(word for word, kind in MODELS.items() if issubclass(kind, GraphModel)),
+    FALLING,
+    SURFACES_FALLING,
+]
+FORECASTERS = [
+    *(word for word, kind in MODELS.items() if issubclass(kind, DynamicsModel)),
+    FALLING,
+    SURFACES_FALLING,
+]
+SEEN = InputSpec(
+    crop_channels=2,
+    crop_side=16,
+    voxel_m=0.01,
+    image_side_px=32,
+    outline_rows=7,
+    outline_directions=32,
+)
 VIEWS = 2
 ZERO = torch.zeros(3, 3, 3)
 
@@ -58,7 +93,9 @@ def make_objects(scenes: int = 3, num: int = 3, seed: int = 0) -> Objects:
         score_N=torch.ones(scenes, num),
         valid_N=torch.ones(scenes, num, dtype=torch.bool),
         crop_NCXYZ=torch.rand(scenes, num, 2, 16, 16, 16, generator=g),
-        image_NV3HW=torch.randint(256, (scenes, num, VIEWS, 3, 32, 32), generator=g, dtype=torch.uint8),
+        image_NV3HW=torch.randint(
+            256, (scenes, num, VIEWS, 3, 32, 32), generator=g, dtype=torch.uint8
+        ),
         camera_NV12=torch.randn(scenes, num, VIEWS, 12, generator=g),
         view_NV=torch.tensor([True, False]).expand(scenes, num, VIEWS).clone(),
         outline_NRK3=make_outlines(scenes, num, g),
@@ -82,14 +119,16 @@ def make_actions(scenes: int = 3, steps: int = 5) -> tuple[Tensor, Tensor]:
     return torch.randn(scenes, 3, generator=g) * 0.1, actions
 
 
-def make_model(word: str, objects: Objects) -> Model:
+def make_model(word: str, objects: Objects) -> DynamicsModel:
     torch.manual_seed(1)
     kind = MODELS[word.removesuffix(" falling")]
     falling = replace(NET.contact, skin=replace(NET.contact.skin, rows=(3, 4)), physics=None)
     is_falling = word in (FALLING, SURFACES_FALLING)
-    net = replace(NET, crop=replace(NET.crop, sight="relief"), contact=falling) if is_falling else NET
-    model = kind(net, SEEN) if issubclass(kind, Learned) else kind()
-    assert isinstance(model, Model)
+    net = (
+        replace(NET, crop=replace(NET.crop, sight="relief"), contact=falling) if is_falling else NET
+    )
+    model = kind(net, SEEN) if issubclass(kind, GraphModel) else kind()
+    assert isinstance(model, DynamicsModel)
     return model.eval()
 
 
@@ -102,7 +141,10 @@ def only(objects: Objects, index: Tensor) -> Objects:
 def test_permuting_objects_permutes_the_forecast(word: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model, order = make_model(word, objects), torch.tensor([2, 0, 1])
-    found, permuted = unroll(model, objects, tip, actions), unroll(model, only(objects, order), tip, actions)
+    found, permuted = (
+        unroll(model, objects, tip, actions),
+        unroll(model, only(objects, order), tip, actions),
+    )
     torch.testing.assert_close(permuted.translation_BTN3, found.translation_BTN3[:, :, order])
     torch.testing.assert_close(permuted.rotation_BTN33, found.rotation_BTN33[:, :, order])
 
@@ -116,11 +158,22 @@ def test_a_mirrored_scene_gets_the_mirrored_forecast(word: str) -> None:
     model = make_model(word, objects)
     here = unroll(model, objects, tip, actions)
     turn = turn_flip(torch.tensor([0.0, torch.pi, torch.pi / 2]), torch.ones(3, dtype=torch.bool))
-    there = moved(Batch(objects, tip, actions, here.translation_BTN3, here.rotation_BTN33), turn, ZERO, 0.01)
+    there = transform_batch(
+        DynamicsBatch(objects, tip, actions, here.translation_BTN3, here.rotation_BTN33),
+        turn,
+        ZERO,
+        0.01,
+    )
     found = unroll(model, there.objects, there.tip_B3, there.actions_BT3)
-    same = slice(0, 1) if word.startswith("graph_xyz_image") else slice(None)  # it sees the cameras' world axes
-    torch.testing.assert_close(found.translation_BTN3[same], there.translation_BTN3[same], atol=1e-5, rtol=1e-3)
-    torch.testing.assert_close(found.rotation_BTN33[same], there.rotation_BTN33[same], atol=1e-4, rtol=1e-3)
+    same = (
+        slice(0, 1) if word.startswith("graph_xyz_image") else slice(None)
+    )  # it sees the cameras' world axes
+    torch.testing.assert_close(
+        found.translation_BTN3[same], there.translation_BTN3[same], atol=1e-5, rtol=1e-3
+    )
+    torch.testing.assert_close(
+        found.rotation_BTN33[same], there.rotation_BTN33[same], atol=1e-4, rtol=1e-3
+    )
 
 
 @torch.no_grad()
@@ -129,7 +182,9 @@ def test_the_forecast_does_not_depend_on_where_the_table_is(word: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model, along = make_model(word, objects), torch.tensor([0.3, -0.2, 0.0])
     found = unroll(model, objects, tip, actions)
-    there = unroll(model, replace(objects, center_N3=objects.center_N3 + along), tip + along, actions)
+    there = unroll(
+        model, replace(objects, center_N3=objects.center_N3 + along), tip + along, actions
+    )
     torch.testing.assert_close(there.translation_BTN3, found.translation_BTN3, atol=1e-6, rtol=1e-4)
     torch.testing.assert_close(there.rotation_BTN33, found.rotation_BTN33, atol=1e-5, rtol=1e-4)
 
@@ -139,7 +194,9 @@ def test_the_forecast_does_not_depend_on_where_the_table_is(word: str) -> None:
 def test_padded_objects_change_nothing(word: str) -> None:
     objects, (tip, actions) = make_objects(num=2), make_actions()
     model, padded = make_model(word, objects), make_objects(num=3, seed=5)
-    padded = Objects(**{k: torch.cat([v, getattr(padded, k)[:, 2:]], 1) for k, v in vars(objects).items()})
+    padded = Objects(
+        **{k: torch.cat([v, getattr(padded, k)[:, 2:]], 1) for k, v in vars(objects).items()}
+    )
     padded.valid_N[:, 2] = False
     found, wider = unroll(model, objects, tip, actions), unroll(model, padded, tip, actions)
     torch.testing.assert_close(wider.translation_BTN3[:, :, :2], found.translation_BTN3)
@@ -150,8 +207,16 @@ def test_padded_objects_change_nothing(word: str) -> None:
 @pytest.mark.parametrize("word", FORECASTERS)
 def test_where_no_object_is_nothing_is_forecast(word: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
-    found = unroll(make_model(word, objects), only(objects, torch.tensor([], dtype=torch.long)), tip, actions)
-    assert found.translation_BTN3.shape == (3, 5, 0, 3) and found.rotation_BTN33.shape == (3, 5, 0, 3, 3)
+    found = unroll(
+        make_model(word, objects), only(objects, torch.tensor([], dtype=torch.long)), tip, actions
+    )
+    assert found.translation_BTN3.shape == (3, 5, 0, 3) and found.rotation_BTN33.shape == (
+        3,
+        5,
+        0,
+        3,
+        3,
+    )
 
 
 @torch.no_grad()
@@ -159,10 +224,10 @@ def test_where_no_object_is_nothing_is_forecast(word: str) -> None:
 def test_unrolling_is_repeated_stepping(word: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model(word, objects)
-    appearance, state = model.appearance(objects), at_rest(objects.center_N3, objects.valid_N)
-    found = future_from(model, appearance, state, tip, actions)
+    appearance, state = model.appearance(objects), initial_state(objects.center_N3, objects.valid_N)
+    found = rollout_from(model, appearance, state, tip, actions)
     for t, action in enumerate(actions.unbind(1)):
-        state = advance(state, model(appearance, state, tip + actions[:, :t].sum(1), action))
+        state = advance_state(state, model(appearance, state, tip + actions[:, :t].sum(1), action))
         torch.testing.assert_close(found.translation_BTN3[:, t], state.moved_BN3)
         torch.testing.assert_close(found.rotation_BTN33[:, t], state.turned_BN33)
     torch.testing.assert_close(state.center_BN3, objects.center_N3 + found.translation_BTN3[:, -1])
@@ -173,7 +238,9 @@ def test_unrolling_is_repeated_stepping(word: str) -> None:
 def test_rotations_stay_rotations(word: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions(steps=10)
     R = unroll(make_model(word, objects), objects, tip, actions).rotation_BTN33
-    torch.testing.assert_close(R @ R.transpose(-1, -2), torch.eye(3).expand_as(R), atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        R @ R.transpose(-1, -2), torch.eye(3).expand_as(R), atol=1e-5, rtol=0
+    )
 
 
 @torch.no_grad()
@@ -190,29 +257,43 @@ def test_views_that_do_not_exist_are_not_read() -> None:
     model = make_model("graph_xyz_image", objects)
     other = objects.image_NV3HW.clone()
     other[:, :, 1] = 0
-    torch.testing.assert_close(model.appearance(replace(objects, image_NV3HW=other)), model.appearance(objects))
+    torch.testing.assert_close(
+        model.appearance(replace(objects, image_NV3HW=other)), model.appearance(objects)
+    )
     other[:, :, 0] = 0
-    assert not torch.allclose(model.appearance(replace(objects, image_NV3HW=other)), model.appearance(objects))
+    assert not torch.allclose(
+        model.appearance(replace(objects, image_NV3HW=other)), model.appearance(objects)
+    )
 
 
 @torch.no_grad()
 def test_a_turned_object_is_met_in_its_own_axes() -> None:
-    """Carrying scene, frames and rod round by any angle carries the motion round: the appearance need not be turned."""
+    """Carrying scene, frames and rod round by any angle carries the motion round: the appearance
+    need not be turned.
+    """
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model("oes", objects)
-    appearance, state = model.appearance(objects), at_rest(objects.center_N3, objects.valid_N)
+    appearance, state = model.appearance(objects), initial_state(objects.center_N3, objects.valid_N)
     turn = turn_flip(torch.full((3,), 0.7), torch.zeros(3, dtype=torch.bool))
     here = unroll_from(model, appearance, state, tip, actions)
-    turned_state = replace(state, center_BN3=state.center_BN3 @ turn.mT, turned_BN33=turn[:, None] @ state.turned_BN33)
-    there = unroll_from(model, appearance, turned_state, (turn @ tip[..., None])[..., 0], actions @ turn.mT)
-    torch.testing.assert_close(there.translation_BTN3, here.translation_BTN3 @ turn[:, None].mT, atol=1e-6, rtol=1e-4)
+    turned_state = replace(
+        state, center_BN3=state.center_BN3 @ turn.mT, turned_BN33=turn[:, None] @ state.turned_BN33
+    )
+    there = unroll_from(
+        model, appearance, turned_state, (turn @ tip[..., None])[..., 0], actions @ turn.mT
+    )
+    torch.testing.assert_close(
+        there.translation_BTN3, here.translation_BTN3 @ turn[:, None].mT, atol=1e-6, rtol=1e-4
+    )
 
 
 def test_the_rotation_loss_is_half_the_angle_for_small_angles() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     rest = unroll(Static(), objects, tip, actions)
-    turn = turn_flip(torch.full((3,), 0.1), torch.zeros(3, dtype=torch.bool))[:, None, None].expand(3, 5, 3, 3, 3)
-    truth = Batch(objects, tip, actions, rest.translation_BTN3 + 0.05 / 3**0.5, turn)
+    turn = turn_flip(torch.full((3,), 0.1), torch.zeros(3, dtype=torch.bool))[:, None, None].expand(
+        3, 5, 3, 3, 3
+    )
+    truth = DynamicsBatch(objects, tip, actions, rest.translation_BTN3 + 0.05 / 3**0.5, turn)
     terms = loss_terms(rest, truth, 0.05, 1e-4)
     assert float(terms["rotation"]) == pytest.approx(0.05, rel=0.01)
     assert float(terms["translation"]) == pytest.approx(1.0, rel=1e-3)
@@ -223,11 +304,25 @@ def test_the_rotation_loss_is_half_the_angle_for_small_angles() -> None:
 
 @pytest.mark.parametrize("word", LEARNED)
 def test_every_model_can_learn_one_episode(word: str) -> None:
-    objects, tip, actions = make_objects(scenes=1, num=1), torch.zeros(1, 3), torch.tensor([[[0.05, 0.0, 0.0]] * 5])
-    objects = replace(objects, center_N3=torch.tensor([[[0.05, 0.0, 0.04]]]))  # before the rod, or nothing slides
+    objects, tip, actions = (
+        make_objects(scenes=1, num=1),
+        torch.zeros(1, 3),
+        torch.tensor([[[0.05, 0.0, 0.0]] * 5]),
+    )
+    objects = replace(
+        objects, center_N3=torch.tensor([[[0.05, 0.0, 0.04]]])
+    )  # before the rod, or nothing slides
     model = make_model(word, objects).train()
-    turn = turn_flip(torch.linspace(0.1, 0.5, 5), torch.zeros(5, dtype=torch.bool))[None, :, None, :, :]
-    truth = Batch(objects, tip, actions, actions.cumsum(1)[:, :, None] * torch.tensor([0.8, 1.0, 1.0]) + 0.01, turn)
+    turn = turn_flip(torch.linspace(0.1, 0.5, 5), torch.zeros(5, dtype=torch.bool))[
+        None, :, None, :, :
+    ]
+    truth = DynamicsBatch(
+        objects,
+        tip,
+        actions,
+        actions.cumsum(1)[:, :, None] * torch.tensor([0.8, 1.0, 1.0]) + 0.01,
+        turn,
+    )
     adam = torch.optim.Adam(model.parameters(), lr=5e-3)
     losses = []
     for _ in range(60):
@@ -253,19 +348,30 @@ def test_slabs_are_means_over_height() -> None:
 
 
 def test_windows_show_objects_where_they_are_now() -> None:
-    """A block ahead of an object's centre at first; then the object is turned by 90 degrees, and the tip passes it."""
-    sight = SlabSight(NET.crop, 2, 16, 0.16)
+    """A block ahead of an object's centre at first; then the object is turned by 90 degrees, and
+    the tip passes it.
+    """
+    sight = CropEncoder(NET.crop, 2, 16, 0.16)
     slabs = torch.zeros(1, 2, 2, 16, 16)
     slabs[0, 0, :, 8:12, 7:9] = 1
     turn = turn_flip(torch.tensor([torch.pi / 2]), torch.tensor([False]))
-    state = at_rest(torch.tensor([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]]), torch.ones(1, 2, dtype=torch.bool))
+    state = initial_state(
+        torch.tensor([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]]), torch.ones(1, 2, dtype=torch.bool)
+    )
     state = replace(state, turned_BN33=turn[:, None].expand(1, 2, 3, 3))
     shapes = (slabs, state.center_BN3, torch.full((1, 2), torch.pi / 2))
-    world_P3 = torch.tensor([[0.0, 0.02, 0.0], [0.02, 0.0, 0.0], [0.0, -0.02, 0.0], [0.0, 0.035, 0.0]])
+    world_P3 = torch.tensor(
+        [[0.0, 0.02, 0.0], [0.02, 0.0, 0.0], [0.0, -0.02, 0.0], [0.0, 0.035, 0.0]]
+    )
     seen = sight._look(shapes, world_P3.repeat(64, 1).expand(1, 2, 256, 3))[0, 0, 0].flatten()[:4]
     torch.testing.assert_close(seen, torch.tensor([1.0, 0.0, 0.0, 1.0]), atol=1e-4, rtol=0)
     full = sight(slabs, state, torch.tensor([[-0.05, 0.0, 0.0]]), torch.tensor([[0.05, 0.0, 0.0]]))
-    bare = sight(torch.zeros_like(slabs), state, torch.tensor([[-0.05, 0.0, 0.0]]), torch.tensor([[0.05, 0.0, 0.0]]))
+    bare = sight(
+        torch.zeros_like(slabs),
+        state,
+        torch.tensor([[-0.05, 0.0, 0.0]]),
+        torch.tensor([[0.05, 0.0, 0.0]]),
+    )
     assert not torch.equal(full.path_BNC[:, 0], bare.path_BNC[:, 0])
     torch.testing.assert_close(full.own_BNC[:, 1], bare.own_BNC[:, 1])
     assert not torch.equal(full.pair_BNNC[0, 1, 0], bare.pair_BNNC[0, 1, 0])

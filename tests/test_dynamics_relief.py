@@ -4,19 +4,19 @@ import pytest
 import torch
 from torch import Tensor
 
-from oes.dynamics.relief import ReliefSight
-from oes.dynamics.slabs import Crop
-from oes.dynamics.unroll import at_rest
+from oes.dynamics.encoders.crop_encoder import CropConfig
+from oes.dynamics.encoders.heightmap_encoder import HeightmapEncoder
+from oes.dynamics.unroll import initial_state
 
-CROP = Crop(
+CROP = CropConfig(
     sight="relief", read=1, slabs=1, channels=(4, 4, 4), width=8, cell_m=0.01, path_cell_m=0.01
 )  # fmt: skip
 QUARTER = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # y goes to z
 
 
-def sight() -> ReliefSight:
+def sight() -> HeightmapEncoder:
     torch.manual_seed(0)
-    return ReliefSight(CROP, 16, 0.01, unit_m=0.05)
+    return HeightmapEncoder(CROP, 16, 0.01, unit_m=0.05)
 
 
 def box(half_x: int, half_y: int, half_z: int) -> Tensor:
@@ -40,12 +40,16 @@ def test_a_box_has_its_underside_and_top_at_half_its_height_however_it_is_turned
 
 
 def test_two_blocks_know_the_gap_between_them_and_where_it_is() -> None:
-    """A small block 5 cm above a wide one's top, aside: the gap is below the one and above the other."""
+    """A small block 5 cm above a wide one's top, aside: the gap is below the one and above the
+    other.
+    """
     reader, ends = sight(), (torch.tensor([0, 1]), torch.tensor([1, 0]))
     center = torch.tensor([[0.03, 0.0, 0.11], [0.0, 0.0, 0.02]])
     maps = reader.maps(torch.stack([box(2, 2, 2), box(4, 4, 2)]), torch.eye(3).expand(2, 3, 3))
     windows = reader.pair_windows(maps, center, ends)
-    assert float(windows[0, 6, 9, 8]) * 0.05 == pytest.approx(0.06, abs=1e-4)  # 5 cm between faces, 6 between voxels
+    assert float(windows[0, 6, 9, 8]) * 0.05 == pytest.approx(
+        0.06, abs=1e-4
+    )  # 5 cm between faces, 6 between voxels
     assert float(windows[0, 6, 3, 8]) == 0  # the wide one alone
     small, wide = reader.closest(windows, center, ends)
     unit = torch.tensor([1, 0.05, 0.05, 0.05]).repeat(2)
@@ -54,15 +58,23 @@ def test_two_blocks_know_the_gap_between_them_and_where_it_is() -> None:
     assert not flat.any()
     assert below_small[:2].tolist() == pytest.approx([1, 0.06], abs=1e-4)
     assert above_small[1] < -0.1, "the wide one is below, not above"
-    torch.testing.assert_close(above_wide, torch.cat([below_small[4:], below_small[:4]]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        above_wide, torch.cat([below_small[4:], below_small[:4]]), atol=1e-6, rtol=0
+    )
     from_small, from_wide = below_small[2:4], below_small[6:8]
-    torch.testing.assert_close(from_wide - from_small, center[0, :2] - center[1, :2], atol=1e-6, rtol=0)
-    assert -0.02 < float(from_small[0]) < 0.005, "they overlap where x of the small one is in [-2, 1] cm"
+    torch.testing.assert_close(
+        from_wide - from_small, center[0, :2] - center[1, :2], atol=1e-6, rtol=0
+    )
+    assert -0.02 < float(from_small[0]) < 0.005, (
+        "they overlap where x of the small one is in [-2, 1] cm"
+    )
 
 
 def test_the_slope_of_a_roof_is_seen_by_what_falls_onto_it() -> None:
     reader, ends = sight(), (torch.tensor([0]), torch.tensor([1]))
-    roof = torch.stack([(torch.arange(16) < 14 - abs(x - 7)).float().expand(16, 16) for x in range(16)])
+    roof = torch.stack(
+        [(torch.arange(16) < 14 - abs(x - 7)).float().expand(16, 16) for x in range(16)]
+    )
     center = torch.tensor([[0.04, 0.0, 0.3], [0.0, 0.0, 0.08]])
     maps = reader.maps(torch.stack([box(2, 2, 2), roof]), torch.eye(3).expand(2, 3, 3))
     found = reader.closest(reader.pair_windows(maps, center, ends), center, ends)[0]
@@ -87,7 +99,11 @@ def test_the_underside_is_told_from_the_table() -> None:
 def test_a_lone_object_has_no_pair_and_an_absent_one_is_not_read() -> None:
     reader, mask = sight(), torch.stack([box(2, 2, 3), box(3, 2, 2)])[None]
     center = torch.tensor([[[0.0, 0.0, 0.1], [0.05, 0.0, 0.02]]])
-    alone = reader(mask[:, :1], at_rest(center[:, :1], torch.tensor([[True]])), torch.zeros(1, 3))
-    padded = reader(mask, at_rest(center, torch.tensor([[True, False]])), torch.zeros(1, 3))
+    alone = reader(
+        mask[:, :1], initial_state(center[:, :1], torch.tensor([[True]])), torch.zeros(1, 3)
+    )
+    padded = reader(mask, initial_state(center, torch.tensor([[True, False]])), torch.zeros(1, 3))
     torch.testing.assert_close(padded.own_BNC[:, 0], alone.own_BNC[:, 0])
-    assert not padded.own_BNC[:, 1].any() and not padded.pair_BNNC.any() and not alone.pair_BNNC.any()
+    assert (
+        not padded.own_BNC[:, 1].any() and not padded.pair_BNNC.any() and not alone.pair_BNNC.any()
+    )

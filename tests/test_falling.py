@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 import trimesh
 
-from oes.capture import capture_split, episode_folder
-from oes.card import impact_T, statistics, write_card
 from oes.config import load
 from oes.episode import SEG_FIRST_OBJECT, SEG_ROBOT, Episode
+from oes.episodes.capture import capture_split, episode_folder
+from oes.episodes.dataset_card import impact_T, statistics, write_card
 from oes.geom.se3 import transform
-from oes.meshes.catalogue import BLOCK, Catalogue, CatalogueError, save, write_mesh
-from oes.meshes.draft import Draft, Stand, placed
+from oes.meshes.catalogue import BLOCK, Catalogue, CatalogueError, save_catalogue, write_mesh
+from oes.meshes.draft import Draft, StandConfig, placed
 from oes.record.check import check_episode
 from oes.record.reader import read_episode, read_frames
 from oes.record.sheet import episode_sheet
-from oes.sim.simulate import Episodes, replay, replay_bodies, simulate
+from oes.sim.simulate import EpisodesConfig, replay, replay_bodies, simulate
 from tests.test_episodes import states
 
-CFG = load(Path("params.yaml"), "episodes", Episodes)
+CFG = load(Path("params.yaml"), "episodes", EpisodesConfig)
 GRAVITY_M_S2 = 9.81
 
 
@@ -32,14 +32,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def catalogue(folder: Path) -> Catalogue:
     """Blocks of both splits, and a mug's worth of something that is only pushed."""
-    sizes = {"cube": (1, 1, 1), "slab": (2, 1, 1), "tower": (1, 1, 2), "brick": (2, 1, 0.5), "pushed": (1, 2, 1)}
+    sizes = {
+        "cube": (1, 1, 1),
+        "slab": (2, 1, 1),
+        "tower": (1, 1, 2),
+        "brick": (2, 1, 0.5),
+        "pushed": (1, 2, 1),
+    }
     for name, size in sizes.items():
         solid = trimesh.creation.box(0.045 * np.array(size))
         category = "toy" if name == "pushed" else BLOCK
         draft = Draft(name, category, "test", "made", solid, (solid,))
         longest_m = 0.045 * max(size[:2])
-        write_mesh(*placed(draft, longest_m, Stand(max_aspect=6.0, max_tilt_deg=15.0)), folder / name)
-    return save(folder, {name: "train" if name == "cube" else "test" for name in sizes}, [])
+        write_mesh(
+            *placed(draft, longest_m, StandConfig(max_aspect=6.0, max_tilt_deg=15.0)), folder / name
+        )
+    return save_catalogue(
+        folder, {name: "train" if name == "cube" else "test" for name in sizes}, []
+    )
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +81,9 @@ def test_the_last_object_starts_at_rest_in_the_air_and_the_others_stand(
         assert lowest_m(episode, catalogue, 0) > CFG.falls.gap_m[0] - 1e-6
         standing = episode.steps[0].center_N3[:-1, 2] - episode.steps[0].size_N3[:-1, 2] / 2
         assert np.abs(standing).max() < 2e-3
-        assert (episode.steps[0].center_N3 + episode.steps[0].size_N3 / 2)[:, 2].max() < CFG.falls.ceiling_m + 2e-3
+        assert (episode.steps[0].center_N3 + episode.steps[0].size_N3 / 2)[
+            :, 2
+        ].max() < CFG.falls.ceiling_m + 2e-3
 
 
 def test_it_falls_freely_until_it_meets_something_and_is_then_stopped(

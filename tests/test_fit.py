@@ -12,8 +12,8 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from oes.fit import Fit, FitError, fit, learning_rate
-from oes.muon import orthogonal
+from oes.training.loop import TrainConfig, TrainingError, fit, learning_rate
+from oes.training.muon import orthogonal
 
 CPU = torch.device("cpu")
 CFG = {
@@ -29,7 +29,8 @@ class Stopped(Exception):
 
 def make_model() -> nn.Module:
     torch.manual_seed(0)
-    # Channels-last weights and batch norm: the moments' layout and the buffers must survive a checkpoint too.
+    # Channels-last weights and batch norm: the moments' layout and the buffers must survive a
+    # checkpoint too.
     conv = nn.Conv2d(2, 4, 3, padding=1).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     tail = [nn.BatchNorm2d(4), nn.ReLU(), nn.Dropout(0.2), nn.Flatten(), nn.Linear(64, 1)]
     return nn.Sequential(conv, *tail)
@@ -43,7 +44,10 @@ def batch_at(step: int) -> tuple[Tensor, Tensor]:
 
 def loss(model: nn.Module, batch: tuple[Tensor, Tensor]) -> dict[str, Tensor]:
     x, y = batch
-    return {"fit": (model(x) - y).square().mean(), "size": sum(p.square().sum() for p in model.parameters())}
+    return {
+        "fit": (model(x) - y).square().mean(),
+        "size": sum(p.square().sum() for p in model.parameters()),
+    }
 
 
 def validate(model: nn.Module) -> dict[str, float]:
@@ -51,7 +55,9 @@ def validate(model: nn.Module) -> dict[str, float]:
     return {"val": float(loss(model, batch_at(-1 % 1000))["fit"])}
 
 
-def train(work: Path, stop_at: int | None = None, **changes: float | str) -> tuple[nn.Module, list[dict[str, float]]]:
+def train(
+    work: Path, stop_at: int | None = None, **changes: float | str
+) -> tuple[nn.Module, list[dict[str, float]]]:
     def batches(step: int) -> tuple[Tensor, Tensor]:
         if step == stop_at:
             raise Stopped
@@ -59,12 +65,14 @@ def train(work: Path, stop_at: int | None = None, **changes: float | str) -> tup
 
     work.mkdir(exist_ok=True)
     model = make_model()
-    rows = fit(model, batches, loss, WEIGHTS, Fit(**(CFG | changes)), work, CPU, validate)
+    rows = fit(model, batches, loss, WEIGHTS, TrainConfig(**(CFG | changes)), work, CPU, validate)
     return model, rows
 
 
 @pytest.fixture(scope="module")
-def unbroken(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Tensor], list[dict[str, float]], Path]:
+def unbroken(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[dict[str, Tensor], list[dict[str, float]], Path]:
     work = tmp_path_factory.mktemp("unbroken")
     model, rows = train(work)
     return model.state_dict(), rows, work / "checkpoint.safetensors"
@@ -142,45 +150,60 @@ def test_without_averaging_and_in_bfloat16(tmp_path: Path) -> None:
 def test_bad_checkpoints_are_refused_by_name(tmp_path: Path, unbroken: tuple) -> None:
     path = tmp_path / "checkpoint.safetensors"
     path.write_bytes(b"\x80\x04not safetensors at all")
-    with pytest.raises(FitError, match=r"checkpoint\.safetensors: not a readable safetensors file"):
+    with pytest.raises(
+        TrainingError, match=r"checkpoint\.safetensors: not a readable safetensors file"
+    ):
         train(tmp_path)
     path.write_bytes(unbroken[2].read_bytes()[:-100])
-    with pytest.raises(FitError, match=r"checkpoint\.safetensors: not a readable safetensors file"):
+    with pytest.raises(
+        TrainingError, match=r"checkpoint\.safetensors: not a readable safetensors file"
+    ):
         train(tmp_path)
     save_file({"a": torch.zeros(1)}, path)
-    with pytest.raises(FitError, match=r"checkpoint\.safetensors: its format is"):
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: its format is"):
         train(tmp_path)
     shutil.copy(unbroken[2], path)
-    with pytest.raises(FitError, match=r"checkpoint\.safetensors: written under other settings"):
+    with pytest.raises(
+        TrainingError, match=r"checkpoint\.safetensors: written under other settings"
+    ):
         train(tmp_path, lr=0.5)
-    with pytest.raises(FitError, match=r"checkpoint\.safetensors: holds another model"):
-        fit(nn.Linear(2, 2), batch_at, loss, WEIGHTS, Fit(**CFG), tmp_path, CPU)
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: holds another model"):
+        fit(nn.Linear(2, 2), batch_at, loss, WEIGHTS, TrainConfig(**CFG), tmp_path, CPU)
 
 
 def test_diverged_loss_is_named(tmp_path: Path) -> None:
     def broken(model: nn.Module, batch: tuple[Tensor, Tensor]) -> dict[str, Tensor]:
         return loss(model, batch) | {"size": torch.tensor(torch.nan)}
 
-    with pytest.raises(FitError, match="step 8: size"):
-        fit(make_model(), batch_at, broken, WEIGHTS, Fit(**CFG), tmp_path, CPU)
+    with pytest.raises(TrainingError, match="step 8: size"):
+        fit(make_model(), batch_at, broken, WEIGHTS, TrainConfig(**CFG), tmp_path, CPU)
     assert not list(tmp_path.iterdir())
 
 
 def test_terms_must_be_the_weights(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="extra"):
-        fit(make_model(), batch_at, loss, WEIGHTS | {"extra": 1.0}, Fit(**CFG), tmp_path, CPU)
+        fit(
+            make_model(),
+            batch_at,
+            loss,
+            WEIGHTS | {"extra": 1.0},
+            TrainConfig(**CFG),
+            tmp_path,
+            CPU,
+        )
 
 
 def test_learning_rate_rises_and_falls_to_a_hundredth() -> None:
-    rates = [learning_rate(step, Fit(**CFG)) for step in range(61)]
+    rates = [learning_rate(step, TrainConfig(**CFG)) for step in range(61)]
     assert max(rates) == rates[5] == 0.01
     assert rates[60] == pytest.approx(0.0001)
     assert rates == sorted(rates[:6]) + sorted(rates[6:], reverse=True)
 
 
 @pytest.mark.parametrize(
-    "change", [{"steps": 0}, {"clip": 0.0}, {"ema_decay": 1.0}, {"lr": "1e-3"}, {"optimizer": "sgd"}]
+    "change",
+    [{"steps": 0}, {"clip": 0.0}, {"ema_decay": 1.0}, {"lr": "1e-3"}, {"optimizer": "sgd"}],
 )
 def test_senseless_settings_are_refused(change: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(change))):
-        Fit(**(CFG | change))
+        TrainConfig(**(CFG | change))

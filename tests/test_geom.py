@@ -1,4 +1,6 @@
-"""Geometry: group axioms of rigid motions, project(unproject) = identity, hand-computed overlaps."""
+"""Geometry: group axioms of rigid motions, project(unproject) = identity, hand-computed
+overlaps.
+"""
 
 import numpy as np
 import pytest
@@ -18,7 +20,9 @@ def random_transforms(count: int) -> np.ndarray:
 
 def test_inverse_composes_to_identity_for_numpy_and_torch() -> None:
     world_T_obj = random_transforms(20)
-    np.testing.assert_allclose(inverse(world_T_obj) @ world_T_obj, np.tile(np.eye(4), (20, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        inverse(world_T_obj) @ world_T_obj, np.tile(np.eye(4), (20, 1, 1)), atol=1e-12
+    )
     same = inverse(torch.from_numpy(world_T_obj))
     np.testing.assert_allclose(same.numpy(), inverse(world_T_obj), atol=1e-12)
 
@@ -26,7 +30,9 @@ def test_inverse_composes_to_identity_for_numpy_and_torch() -> None:
 def test_transform_is_associative_with_composition() -> None:
     a_T_b, b_T_c = random_transforms(2)
     points = RNG.normal(size=(50, 3))
-    np.testing.assert_allclose(transform(a_T_b @ b_T_c, points), transform(a_T_b, transform(b_T_c, points)), atol=1e-12)
+    np.testing.assert_allclose(
+        transform(a_T_b @ b_T_c, points), transform(a_T_b, transform(b_T_c, points)), atol=1e-12
+    )
 
 
 def test_rotation_z_is_counter_clockwise_seen_from_above() -> None:
@@ -42,7 +48,9 @@ def test_quaternions_round_trip_with_the_real_part_last() -> None:
 def test_the_target_of_look_at_projects_to_the_image_centre_with_up_upwards() -> None:
     K = intrinsics(42.0, 128, 128)
     eye, target = np.array([0.5, -0.6, 0.8]), np.array([0.0, 0.0, 0.1])
-    uv, depth = project(K, look_at(eye, target), np.stack([target, target + np.array([0, 0, 0.05])]))
+    uv, depth = project(
+        K, look_at(eye, target), np.stack([target, target + np.array([0, 0, 0.05])])
+    )
     np.testing.assert_allclose(uv[0], [64, 64], atol=1e-9)
     assert depth[0] == pytest.approx(np.linalg.norm(target - eye))
     assert uv[1, 1] < 64
@@ -54,7 +62,10 @@ def test_a_vertical_line_of_sight_is_refused() -> None:
 
 
 def test_project_undoes_unproject_at_every_pixel_centre() -> None:
-    K, world_T_cam = intrinsics(42.0, 16, 12), look_at(np.array([1.0, 0.2, 0.7]), np.array([0.0, 0.0, 0.1]))
+    K, world_T_cam = (
+        intrinsics(42.0, 16, 12),
+        look_at(np.array([1.0, 0.2, 0.7]), np.array([0.0, 0.0, 0.1])),
+    )
     depth = torch.rand(12, 16, dtype=torch.float64) + 0.5
     points = unproject(torch.from_numpy(K), torch.from_numpy(world_T_cam), depth)
     uv, z = project(K, world_T_cam, points.reshape(-1, 3).numpy())

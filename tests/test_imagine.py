@@ -1,4 +1,6 @@
-"""Scenes put together from moved objects, and scenes that were changed alike in the simulator and in what was seen."""
+"""Scenes put together from moved objects, and scenes that were changed alike in the simulator and
+in what was seen.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,31 +10,53 @@ import pytest
 import torch
 
 from oes.config import load
-from oes.dynamics.bounds import Static
+from oes.counterfactual.compose import (
+    DecomposedScene,
+    PoseTable,
+    compose,
+    forecast_poses,
+    initial_poses,
+)
+from oes.counterfactual.counterfactuals import (
+    UNEDITED,
+    Counterfactual,
+    edit_rows,
+    run_counterfactual,
+)
+from oes.counterfactual.edits import (
+    EDIT_SAMPLERS,
+    Scenario,
+    add_object,
+    draw_edit,
+    move_object,
+    redirect_push,
+    remove_object,
+    resize_object,
+)
+from oes.counterfactual.evaluate import FutureEvaluator, _qualities
+from oes.counterfactual.forecast import STATIC, forecast_motions, true_motions
+from oes.counterfactual.study import FuturesConfig
+from oes.dynamics.reference_models import Static
 from oes.episode import Frames
 from oes.geom.se3 import rotation_z
 from oes.geom.voxels import Grid, cube
-from oes.imagine.compose import Poses, Still, at_first, carried_on, compose
-from oes.imagine.edits import KINDS, Case, added, draw_edit, moved, redirected, removed, resized
-from oes.imagine.first import STATIC, motions, true_motions
-from oes.imagine.quality import Judge, _qualities
-from oes.imagine.study import Futures
-from oes.imagine.whatif import AS_IT_WAS, Answer, ask, edit_rows
 from oes.objects import Objects
-from oes.percept.rays import Field
-from oes.sim.simulate import Episodes, simulate
+from oes.perception.rays import Field
+from oes.sim.simulate import EpisodesConfig, simulate
 from tests.blocks import make_catalogue
 from tests.test_dynamics_models import make_model, make_objects
 from tests.test_rollout import make_scene
 
-CFG = load(Path("params.yaml"), "futures", Futures)
+CFG = load(Path("params.yaml"), "futures", FuturesConfig)
 GRID = Grid(min_m=(-0.16, -0.16, -0.02), shape=(32, 32, 16), voxel_m=0.01)
 WINDOW = cube(8, 0.01)
 AIR, SOLID = -2.0, 8.0
 
 
-def still_life(count: int = 1) -> tuple[Still, torch.Tensor]:
-    """Boxes of 4 x 2 x 2 voxels on the table, 10 cm apart, whose feature tells the voxel's x; and their map."""
+def still_life(count: int = 1) -> tuple[DecomposedScene, torch.Tensor]:
+    """Boxes of 4 x 2 x 2 voxels on the table, 10 cm apart, whose feature tells the voxel's x; and
+    their map.
+    """
     bare = torch.zeros(2, *GRID.shape)
     bare[0] = AIR
     volume, masks, center = bare.clone(), torch.zeros(count, *WINDOW.shape), torch.zeros(count, 3)
@@ -42,122 +66,191 @@ def still_life(count: int = 1) -> tuple[Still, torch.Tensor]:
         volume[1][box] = torch.arange(1.0, 5.0)[:, None, None]
         masks[n, 2:6, 3:5, 3:5] = 1
         center[n] = torch.tensor([-0.08 + 0.1 * n, 0.0, 0.01])
-    return Still(volume, bare, GRID, Field(bare[None], GRID), masks, center, WINDOW), volume
+    return DecomposedScene(
+        volume, bare, GRID, Field(bare[None], GRID), masks, center, WINDOW
+    ), volume
 
 
-def shifted(poses: Poses, shift: tuple[float, float, float], turn_rad: float = 0.0) -> Poses:
+def shifted(
+    poses: PoseTable, shift: tuple[float, float, float], turn_rad: float = 0.0
+) -> PoseTable:
     turn = torch.from_numpy(rotation_z(turn_rad)).float()
-    return carried_on(poses, turn.expand(len(poses.which_M), 3, 3), torch.tensor(shift).expand(len(poses.which_M), 3))
+    return forecast_poses(
+        poses,
+        turn.expand(len(poses.which_M), 3, 3),
+        torch.tensor(shift).expand(len(poses.which_M), 3),
+    )
 
 
 def test_objects_that_did_not_move_make_the_scene_as_it_was() -> None:
     still, volume = still_life(2)
-    torch.testing.assert_close(compose(still, at_first(2)).volume_BCXYZ[0], volume)
-    torch.testing.assert_close(compose(still, at_first(0)).volume_BCXYZ[0], still.bare)
+    torch.testing.assert_close(compose(still, initial_poses(2)).volume_BCXYZ[0], volume)
+    torch.testing.assert_close(compose(still, initial_poses(0)).volume_BCXYZ[0], still.bare)
 
 
 def test_an_object_moved_by_whole_voxels_is_the_same_object_there() -> None:
     still, volume = still_life()
-    made = compose(still, shifted(at_first(1), (0.03, -0.02, 0.01))).volume_BCXYZ[0]
+    made = compose(still, shifted(initial_poses(1), (0.03, -0.02, 0.01))).volume_BCXYZ[0]
     torch.testing.assert_close(made, volume.roll((3, -2, 1), (1, 2, 3)), atol=1e-4, rtol=0)
 
 
 def test_a_turned_object_turns_about_its_centre_and_one_that_grew_is_larger() -> None:
     still, volume = still_life()
-    turned = compose(still, shifted(at_first(1), (0, 0, 0), np.pi / 2)).volume_BCXYZ[0]
-    torch.testing.assert_close(turned[1, 7:9, 14:18, 2], volume[1, 6:10, 15:17, 2].T, atol=1e-3, rtol=0)
+    turned = compose(still, shifted(initial_poses(1), (0, 0, 0), np.pi / 2)).volume_BCXYZ[0]
+    torch.testing.assert_close(
+        turned[1, 7:9, 14:18, 2], volume[1, 6:10, 15:17, 2].T, atol=1e-3, rtol=0
+    )
     assert (turned[0] > 0).sum() == (volume[0] > 0).sum()
-    twice = replace(at_first(1), scale_M=torch.tensor([2.0]), translation_M3=torch.tensor([[0.0, 0.0, 0.01]]))
+    twice = replace(
+        initial_poses(1),
+        scale_M=torch.tensor([2.0]),
+        translation_M3=torch.tensor([[0.0, 0.0, 0.01]]),
+    )
     assert (compose(still, twice).volume_BCXYZ[0, 0] > 0).sum() > 4 * (volume[0] > 0).sum()
 
 
 def test_objects_drawn_in_one_place_share_it() -> None:
     still, volume = still_life(2)
-    poses = replace(at_first(2), translation_M3=torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+    poses = replace(
+        initial_poses(2), translation_M3=torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    )
     made = compose(still, poses).volume_BCXYZ[0]
-    torch.testing.assert_close(made[:, 16:20, 15:17, 2:4], volume[:, 16:20, 15:17, 2:4], atol=1e-4, rtol=0)
+    torch.testing.assert_close(
+        made[:, 16:20, 15:17, 2:4], volume[:, 16:20, 15:17, 2:4], atol=1e-4, rtol=0
+    )
     assert (made[0, 6:10] < 0).all(), "the first one has left"
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory) -> tuple[Case, tuple]:
-    """Two objects pushed in Bullet, perceived exactly but for one detection that is false; and what simulates it."""
+def world(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scenario, tuple]:
+    """Two objects pushed in Bullet, perceived exactly but for one detection that is false; and what
+    simulates it.
+    """
     catalogue = make_catalogue(tmp_path_factory.mktemp("meshes"))
-    episode = simulate(catalogue, load(Path("params.yaml"), "episodes", Episodes), "pushing", "test2", 0)
-    case = Case("as it was", episode, make_scene(episode, [1, -1, 0]), at_first(3))
+    episode = simulate(
+        catalogue, load(Path("params.yaml"), "episodes", EpisodesConfig), "pushing", "test2", 0
+    )
+    case = Scenario("as it was", episode, make_scene(episode, [1, -1, 0]), initial_poses(3))
     return case, (catalogue, CFG.sim, {"still": Static()})
 
 
-def test_changes_are_the_same_for_the_simulator_and_for_what_was_seen(world: tuple[Case, tuple]) -> None:
+def test_changes_are_the_same_for_the_simulator_and_for_what_was_seen(
+    world: tuple[Scenario, tuple],
+) -> None:
     case, _ = world
     window = cube(case.scene.objects.crop_NCXYZ.shape[-1], 0.01)
     shift = np.array([0.05, -0.02, 0.0])
     changes = {
-        2: [moved(case, 0, shift), resized(case, 2, 1.3, window), redirected(case, 0.5)],
-        1: [removed(case, 0), removed(case, 2)],
-        3: [added(case, 2, shift)],
+        2: [
+            move_object(case, 0, shift),
+            resize_object(case, 2, 1.3, window),
+            redirect_push(case, 0.5),
+        ],
+        1: [remove_object(case, 0), remove_object(case, 2)],
+        3: [add_object(case, 2, shift)],
     }
     for count, cases in changes.items():
         for found in cases:
             first, objects = found.episode.steps[0], found.scene.objects
-            assert len(found.episode.bodies) == len(first.center_N3) == len(first.world_T_obj_N44) == count
-            assert len(objects.center_N3) == len(found.scene.truth) == len(found.poses.which_M) == count + 1
+            assert (
+                len(found.episode.bodies)
+                == len(first.center_N3)
+                == len(first.world_T_obj_N44)
+                == count
+            )
+            assert (
+                len(objects.center_N3)
+                == len(found.scene.truth)
+                == len(found.poses.which_M)
+                == count + 1
+            )
             for i, true_i in enumerate(found.scene.truth):
-                drawn = case.scene.objects.center_N3[found.poses.which_M[i]] + found.poses.translation_M3[i]
+                drawn = (
+                    case.scene.objects.center_N3[found.poses.which_M[i]]
+                    + found.poses.translation_M3[i]
+                )
                 torch.testing.assert_close(drawn, objects.center_N3[i])
                 if true_i >= 0:
-                    assert objects.center_N3[i].numpy() == pytest.approx(first.center_N3[true_i], abs=1e-6)
+                    assert objects.center_N3[i].numpy() == pytest.approx(
+                        first.center_N3[true_i], abs=1e-6
+                    )
     grown = changes[2][1]
     ratio = grown.episode.bodies[0].scale_3 / case.episode.bodies[0].scale_3
     assert ratio == pytest.approx(1.3) and float(grown.poses.scale_M[2]) == pytest.approx(1.3)
-    shape = grown.scene.objects.outline_NRK3[2, 0, :, 0] / case.scene.objects.outline_NRK3[2, 0, :, 0]
+    shape = (
+        grown.scene.objects.outline_NRK3[2, 0, :, 0] / case.scene.objects.outline_NRK3[2, 0, :, 0]
+    )
     assert shape.numpy() == pytest.approx(1.3)
     bottom = grown.episode.steps[0].center_N3[0, 2] - grown.episode.steps[0].size_N3[0, 2] / 2
     assert bottom == pytest.approx(
         1.3 * (case.episode.steps[0].center_N3[0, 2] - case.episode.steps[0].size_N3[0, 2] / 2)
     )
     before, after = case.episode.actions_T3[0], changes[2][2].episode.actions_T3[0]
-    assert np.cross(before, after)[2] / (before @ before) == pytest.approx(np.sin(0.5)), "further to the left"
+    assert np.cross(before, after)[2] / (before @ before) == pytest.approx(np.sin(0.5)), (
+        "further to the left"
+    )
 
 
-def test_every_change_is_forecast_without_error_by_who_knows_what_happens(world: tuple[Case, tuple]) -> None:
+def test_every_change_is_forecast_without_error_by_who_knows_what_happens(
+    world: tuple[Scenario, tuple],
+) -> None:
     case, parts = world
     window = cube(case.scene.objects.crop_NCXYZ.shape[-1], 0.01)
-    answers = list(ask(case, tuple(KINDS), CFG.edits, window, np.random.default_rng(0), parts))
-    assert [answer.kind for answer in answers] == [AS_IT_WAS, *KINDS]
+    answers = list(
+        run_counterfactual(
+            case, tuple(EDIT_SAMPLERS), CFG.edits, window, np.random.default_rng(0), parts
+        )
+    )
+    assert [answer.kind for answer in answers] == [UNEDITED, *EDIT_SAMPLERS]
     assert [len(answer.happened.bodies) for answer in answers] == [2, 2, 2, 1, 3, 2]
     for answer in answers:
         assert set(answer.found) == {STATIC, "still"}
-        knowing = Answer(
-            answer.kind, answer.case, answer.happened, {"true": true_motions(answer.case, answer.happened)}
+        knowing = Counterfactual(
+            answer.kind,
+            answer.case,
+            answer.happened,
+            {"true": true_motions(answer.case, answer.happened)},
         )
         rows = list(edit_rows(knowing, (1, 3, 5)))
         assert len(rows) == 3 * len(answer.happened.bodies) and all(row["detected"] for row in rows)
-        assert max(row["translation_mm"] for row in rows) < 1e-2 and max(row["rotation_deg"] for row in rows) < 0.02
+        assert (
+            max(row["translation_mm"] for row in rows) < 1e-2
+            and max(row["rotation_deg"] for row in rows) < 0.02
+        )
     still = [row for answer in answers for row in edit_rows(answer, (5,)) if row["model"] == STATIC]
     assert max(row["translation_mm"] for row in still) > 20.0, "something is pushed"
 
 
-def test_a_scene_in_which_nothing_was_seen_is_forecast_to_stay(world: tuple[Case, tuple]) -> None:
+def test_a_scene_in_which_nothing_was_seen_is_forecast_to_stay(
+    world: tuple[Scenario, tuple],
+) -> None:
     case, _ = world
     objects = Objects(**{name: value[:0] for name, value in vars(case.scene.objects).items()})
-    blind = replace(case, scene=replace(case.scene, objects=objects, truth=[]), poses=at_first(0))
+    blind = replace(
+        case, scene=replace(case.scene, objects=objects, truth=[]), poses=initial_poses(0)
+    )
     model = make_model("oes", make_objects())
-    found = motions(blind, {"oes": model})["oes"]
+    found = forecast_motions(blind, {"oes": model})["oes"]
     assert found.translation_TN3.shape == (5, 0, 3) and found.rotation_TN33.shape == (5, 0, 3, 3)
-    rows = list(edit_rows(Answer(AS_IT_WAS, blind, case.episode, {"oes": found}), (5,)))
-    assert [row["detected"] for row in rows] == [0, 0] and max(row["translation_mm"] for row in rows) > 20
+    rows = list(edit_rows(Counterfactual(UNEDITED, blind, case.episode, {"oes": found}), (5,)))
+    assert [row["detected"] for row in rows] == [0, 0] and max(
+        row["translation_mm"] for row in rows
+    ) > 20
     still, _ = still_life()
-    torch.testing.assert_close(compose(still, found.poses(blind.poses, 5)).volume_BCXYZ[0], still.bare)
+    torch.testing.assert_close(
+        compose(still, found.poses(blind.poses, 5)).volume_BCXYZ[0], still.bare
+    )
 
 
-def test_no_change_without_a_place_or_an_object(world: tuple[Case, tuple]) -> None:
+def test_no_change_without_a_place_or_an_object(world: tuple[Scenario, tuple]) -> None:
     case, _ = world
     rng, window = np.random.default_rng(0), cube(16, 0.01)
     assert draw_edit("move", case, replace(CFG.edits, rim_m=0.05), window, rng) is None
     unknown = replace(case, scene=replace(case.scene, truth=[-1, -1, -1]))
     assert draw_edit("remove", unknown, CFG.edits, window, rng) is None
-    with pytest.raises(ValueError, match=r"unknown fly; there are: move, resize, remove, add, push"):
+    with pytest.raises(
+        ValueError, match=r"unknown fly; there are: move, resize, remove, add, push"
+    ):
         replace(CFG, kinds={"pushing": ("fly",)})
 
 
@@ -174,14 +267,16 @@ class Oracle:
         return torch.from_numpy(next(self.places)), None, None
 
 
-def test_views_that_disagree_are_told_apart_from_objects_drawn_elsewhere(world: tuple[Case, tuple]) -> None:
+def test_views_that_disagree_are_told_apart_from_objects_drawn_elsewhere(
+    world: tuple[Scenario, tuple],
+) -> None:
     case, _ = world
     true = case.episode.steps[0].center_N3
     aside = np.array([0.01, 0.0, 0.0])
     places = [true + aside, true - aside, true[:1] + aside]
     images = np.zeros((3, 4, 4, 3), np.uint8)
     frames = Frames(images, np.zeros((3, 4, 4), np.float32), images[..., 0])
-    judge = Judge(Oracle(places), None, case, (0, (1, 2, 3)))
+    judge = FutureEvaluator(Oracle(places), None, case, (0, (1, 2, 3)))
     first, second = judge._found_again(1, "oes", frames, case.episode.steps[0].cameras[:3], true)
     assert (first["views_found"], first["centre_mm"]) == (3, 10.0)
     assert first["spread_mm"] == pytest.approx((20 + 20 + 0) / 3, abs=1e-3)
@@ -198,4 +293,9 @@ def test_the_pixels_of_objects_count_alone_where_asked() -> None:
     zeros = np.zeros((2, 32, 32))
     row = _qualities(Frames(made, zeros, zeros), Frames(true, zeros, zeros), ~shown)
     assert row["objects_psnr_db"] < row["psnr_db"] < 30
-    assert _qualities(Frames(made, zeros, zeros), Frames(true, zeros, zeros), shown & ~shown)["objects_psnr_db"] is None
+    assert (
+        _qualities(Frames(made, zeros, zeros), Frames(true, zeros, zeros), shown & ~shown)[
+            "objects_psnr_db"
+        ]
+        is None
+    )

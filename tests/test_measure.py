@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from oes.measure import (
+from oes.metrics.errors import (
     Boxes,
     average_precision,
     bootstrap_mean,
@@ -18,7 +18,9 @@ from oes.measure import (
 
 
 def test_translation_is_the_distance_in_mm() -> None:
-    np.testing.assert_allclose(translation_mm(np.array([[0.003, 0.004, 0.0]]), np.zeros((1, 3))), [5.0])
+    np.testing.assert_allclose(
+        translation_mm(np.array([[0.003, 0.004, 0.0]]), np.zeros((1, 3))), [5.0]
+    )
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 1e-4, 30.0, 179.0])
@@ -41,16 +43,18 @@ def test_bootstrap_resamples_episodes_not_objects() -> None:
     """Ten copies of each of 20 episodes' values carry no more information than one."""
     values = np.random.default_rng(0).normal(size=20)
     mean, low, high = bootstrap_mean(values, np.arange(20), seed=1)
-    assert bootstrap_mean(np.repeat(values, 10), np.repeat(np.arange(20), 10), seed=1) == pytest.approx(
-        (mean, low, high)
-    )
+    assert bootstrap_mean(
+        np.repeat(values, 10), np.repeat(np.arange(20), 10), seed=1
+    ) == pytest.approx((mean, low, high))
     assert high - low == pytest.approx(2 * 1.96 * values.std() / 20**0.5, rel=0.1)
 
 
 def test_bootstrap_ratio_is_paired() -> None:
     """Values in a fixed proportion leave nothing uncertain, however widely they scatter."""
     below = np.array([1.0, 10.0, 100.0, 3.0])
-    assert bootstrap_ratio(0.7 * below, below, np.array([0, 1, 2, 3]), seed=0) == pytest.approx((0.7, 0.7, 0.7))
+    assert bootstrap_ratio(0.7 * below, below, np.array([0, 1, 2, 3]), seed=0) == pytest.approx(
+        (0.7, 0.7, 0.7)
+    )
 
 
 def test_bootstrap_refuses_nothing_and_the_unpaired() -> None:
@@ -71,7 +75,11 @@ def test_wilson_agrees_with_the_textbook() -> None:
 def test_signed_ranks_count_how_often_and_how_far_one_is_the_greater() -> None:
     first = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     assert signed_rank(first, first) == 1
-    assert signed_rank(np.zeros(5), first) == signed_rank(first, np.zeros(5)) == pytest.approx(2 / 2**5)
+    assert (
+        signed_rank(np.zeros(5), first)
+        == signed_rank(first, np.zeros(5))
+        == pytest.approx(2 / 2**5)
+    )
     assert signed_rank(first, np.array([3.0, 3.0, 3.0, 3.0, 3.5])) == 1
 
 
@@ -87,10 +95,14 @@ def boxes(scenes: list[int], xs: list[float]) -> Boxes:
 
 
 def test_average_precision_by_hand() -> None:
-    """Ranked hit, miss, hit, duplicate over three truths: recall 1/3 at precision 1, 2/3 at 2/3, and no more."""
+    """Ranked hit, miss, hit, duplicate over three truths: recall 1/3 at precision 1, 2/3 at 2/3,
+    and no more.
+    """
     true = boxes([0, 0, 1], [0.0, 0.5, 0.0])
     found = boxes([0, 1, 0, 0], [0.0, 0.9, 0.51, 0.0])
-    assert average_precision(found, np.array([0.9, 0.8, 0.7, 0.6]), true, 0.25) == pytest.approx(1 / 3 + 2 / 3 / 3)
+    assert average_precision(found, np.array([0.9, 0.8, 0.7, 0.6]), true, 0.25) == pytest.approx(
+        1 / 3 + 2 / 3 / 3
+    )
 
 
 def test_average_precision_ranks_the_whole_set_together() -> None:

@@ -1,4 +1,6 @@
-"""The blocks against their published dimensions and, where they are at hand, against the original meshes."""
+"""The blocks against their published dimensions and, where they are at hand, against the original
+meshes.
+"""
 
 from pathlib import Path
 
@@ -6,9 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from oes.meshes.blocks import BLOCKS
 from oes.meshes.catalogue import assign_splits
 from oes.meshes.convex import fill
+from oes.meshes.generators.blocks import BLOCKS
 
 ORIGINALS = Path(__file__).resolve().parents[2] / "shared" / "meshes" / "o2p2"
 SHAPES = {name: shape for family in BLOCKS.values() for name, shape in family.items()}
@@ -61,6 +63,10 @@ def test_a_block_agrees_with_the_original(name: str) -> None:
 
 
 def test_one_block_of_each_family_is_held_out() -> None:
-    splits = assign_splits([(f"block_{name}", family) for family, each in BLOCKS.items() for name in each], 0.2, seed=0)
-    held_out = [{name for name in each if splits[f"block_{name}"] == "test"} for each in BLOCKS.values()]
+    splits = assign_splits(
+        [(f"block_{name}", family) for family, each in BLOCKS.items() for name in each], 0.2, seed=0
+    )
+    held_out = [
+        {name for name in each if splits[f"block_{name}"] == "test"} for each in BLOCKS.values()
+    ]
     assert [len(each) for each in held_out] == [1, 1, 1, 1]

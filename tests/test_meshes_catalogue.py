@@ -1,4 +1,6 @@
-"""The catalogue as others see it: 31 meshes to push, 13 blocks to drop, a fixed split, a folder that loads back."""
+"""The catalogue as others see it: 31 meshes to push, 13 blocks to drop, a fixed split, a folder
+that loads back.
+"""
 
 import csv
 from dataclasses import replace
@@ -9,21 +11,21 @@ import numpy as np
 import pytest
 
 from oes.config import ParamsError, from_json, load, to_json
-from oes.meshes.blocks import BLOCKS
-from oes.meshes.build import Meshes, build_catalogue
+from oes.meshes.build import MeshesConfig, build_catalogue
 from oes.meshes.catalogue import BLOCK, Catalogue, CatalogueError, assign_splits, load_catalogue
 from oes.meshes.convex import inside
+from oes.meshes.generators.blocks import BLOCKS
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def cfg() -> Meshes:
-    return replace(load(ROOT / "params.yaml", "meshes", Meshes), tile_px=40)
+def cfg() -> MeshesConfig:
+    return replace(load(ROOT / "params.yaml", "meshes", MeshesConfig), tile_px=40)
 
 
 @pytest.fixture(scope="module")
-def folder(cfg: Meshes, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(cfg: MeshesConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("catalogue") / "meshes"
     build_catalogue(cfg, out)
     return out
@@ -34,13 +36,26 @@ def catalogue(folder: Path) -> Catalogue:
     return load_catalogue(folder)
 
 
-def test_the_31_meshes_to_push_are_split_24_to_7_within_every_category(catalogue: Catalogue) -> None:
+def test_the_31_meshes_to_push_are_split_24_to_7_within_every_category(
+    catalogue: Catalogue,
+) -> None:
     tally = {
-        category: tuple(sum(m.category == category for m in catalogue.split(split)) for split in ("train", "test"))
+        category: tuple(
+            sum(m.category == category for m in catalogue.split(split))
+            for split in ("train", "test")
+        )
         for category in ("mit_push", "camera", "mug", "bowl", "bed")
     }
-    assert tally == {"mit_push": (8, 3), "camera": (4, 1), "mug": (4, 1), "bowl": (4, 1), "bed": (4, 1)}
-    held_out = sorted(mesh.id[:-1] for mesh in catalogue.split("test") if mesh.category == "mit_push")
+    assert tally == {
+        "mit_push": (8, 3),
+        "camera": (4, 1),
+        "mug": (4, 1),
+        "bowl": (4, 1),
+        "bed": (4, 1),
+    }
+    held_out = sorted(
+        mesh.id[:-1] for mesh in catalogue.split("test") if mesh.category == "mit_push"
+    )
     assert held_out == ["mit_ellip", "mit_rect", "mit_tri"]
 
 
@@ -54,7 +69,9 @@ def test_the_13_blocks_fall_and_one_of_each_family_is_held_out(catalogue: Catalo
     assert pushed == catalogue.meshes.keys() - families.keys()
 
 
-def test_blocks_stand_as_the_originals_at_one_scale(catalogue: Catalogue, cfg: Meshes) -> None:
+def test_blocks_stand_as_the_originals_at_one_scale(
+    catalogue: Catalogue, cfg: MeshesConfig
+) -> None:
     for name, shape in (pair for blocks in BLOCKS.values() for pair in blocks.items()):
         mesh, unit_m = catalogue.meshes[f"block_{name}"], cfg.size.block_unit_m
         np.testing.assert_allclose(mesh.extents_m_3, shape.solid.extents * unit_m, atol=1e-7)
@@ -71,18 +88,24 @@ def test_the_split_of_a_mesh_does_not_depend_on_other_strata() -> None:
     assert any(assign_splits(cups, 0.2, seed) != alone for seed in range(1, 9))
 
 
-def test_meshes_are_canonical_and_of_the_size_asked_for(catalogue: Catalogue, cfg: Meshes) -> None:
-    longest_m = [mesh.extents_m_3[:2].max() for mesh in catalogue.meshes.values() if mesh.category != BLOCK]
+def test_meshes_are_canonical_and_of_the_size_asked_for(
+    catalogue: Catalogue, cfg: MeshesConfig
+) -> None:
+    longest_m = [
+        mesh.extents_m_3[:2].max() for mesh in catalogue.meshes.values() if mesh.category != BLOCK
+    ]
     assert cfg.size.min_m <= min(longest_m) and max(longest_m) <= cfg.size.max_m + 1e-7
     assert 0.07 < np.mean(longest_m) < 0.09
     for mesh in catalogue.meshes.values():
         np.testing.assert_allclose(mesh.visual.bounds.sum(0), 0, atol=1e-7)
         np.testing.assert_allclose(mesh.visual.extents, mesh.extents_m_3, atol=1e-7)
-    heights_m = [mesh.extents_m_3[2] for mesh in catalogue.meshes.values() if mesh.category == "mit_push"]
+    heights_m = [
+        mesh.extents_m_3[2] for mesh in catalogue.meshes.values() if mesh.category == "mit_push"
+    ]
     assert cfg.size.plate_min_m <= min(heights_m) and max(heights_m) <= cfg.size.plate_max_m
 
 
-def test_written_meshes_stay_sound(catalogue: Catalogue, cfg: Meshes) -> None:
+def test_written_meshes_stay_sound(catalogue: Catalogue, cfg: MeshesConfig) -> None:
     for mesh in catalogue.meshes.values():
         assert mesh.visual.is_volume and mesh.visual.body_count == 1, mesh.id
         assert len(mesh.parts) <= 64
@@ -99,7 +122,9 @@ def test_points_inside_the_mesh_are_inside_its_parts(catalogue: Catalogue) -> No
     assert share * mesh.extents_m_3.prod() == pytest.approx(mesh.volume_m3, rel=0.04)
 
 
-def test_the_same_params_give_the_same_bytes(folder: Path, cfg: Meshes, tmp_path: Path) -> None:
+def test_the_same_params_give_the_same_bytes(
+    folder: Path, cfg: MeshesConfig, tmp_path: Path
+) -> None:
     small = replace(cfg, per_category=1)
     build_catalogue(small, tmp_path / "one")
     build_catalogue(small, tmp_path / "two")
@@ -110,14 +135,20 @@ def test_the_same_params_give_the_same_bytes(folder: Path, cfg: Meshes, tmp_path
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def test_the_table_and_the_picture_hold_every_mesh(folder: Path, catalogue: Catalogue) -> None:
     with (folder / "catalogue.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["id"] for row in rows] == list(catalogue.meshes)
-    assert float(rows[0]["x_mm"]) == pytest.approx(catalogue.meshes["mit_rect1"].extents_m_3[0] * 1e3, abs=0.06)
+    assert float(rows[0]["x_mm"]) == pytest.approx(
+        catalogue.meshes["mit_rect1"].extents_m_3[0] * 1e3, abs=0.06
+    )
     assert (folder / "rejected.csv").read_text() == "source,category,reason\n"
     picture = cv2.imread(str(folder / "contact_sheet.png"))
     assert picture.shape[1] > 8 * 40 and picture.std() > 10
@@ -137,7 +168,9 @@ def test_a_collision_file_has_one_group_a_part(catalogue: Catalogue) -> None:
         ("mug_1/collision.obj", "collision.obj: no meshes"),
     ],
 )
-def test_a_spoilt_catalogue_is_refused_by_name(spoil: str, message: str, cfg: Meshes, folder: Path) -> None:
+def test_a_spoilt_catalogue_is_refused_by_name(
+    spoil: str, message: str, cfg: MeshesConfig, folder: Path
+) -> None:
     path = folder / spoil
     content = path.read_bytes()
     try:
@@ -148,7 +181,9 @@ def test_a_spoilt_catalogue_is_refused_by_name(spoil: str, message: str, cfg: Me
         path.write_bytes(content)
 
 
-def test_a_folder_that_is_no_catalogue_and_an_empty_split_are_refused(tmp_path: Path, catalogue: Catalogue) -> None:
+def test_a_folder_that_is_no_catalogue_and_an_empty_split_are_refused(
+    tmp_path: Path, catalogue: Catalogue
+) -> None:
     with pytest.raises(CatalogueError, match="not a catalogue"):
         load_catalogue(tmp_path)
     (tmp_path / "catalogue.csv").write_text("id,split\n../../etc,train\n")
@@ -160,6 +195,6 @@ def test_a_folder_that_is_no_catalogue_and_an_empty_split_are_refused(tmp_path: 
         Catalogue({"mug_1": catalogue.meshes["mug_1"]}).split("train", "falling")
 
 
-def test_ill_params_are_refused(cfg: Meshes) -> None:
+def test_ill_params_are_refused(cfg: MeshesConfig) -> None:
     with pytest.raises(ParamsError, match="up is 'y' or 'z'"):
-        from_json(to_json(cfg).replace('"up":"z"', '"up":"x"'), Meshes)
+        from_json(to_json(cfg).replace('"up":"z"', '"up":"x"'), MeshesConfig)

@@ -1,4 +1,6 @@
-"""The generated meshes: MIT Push outlines against the originals, sound solids, parts that fill them."""
+"""The generated meshes: MIT Push outlines against the originals, sound solids, parts that fill
+them.
+"""
 
 from pathlib import Path
 
@@ -9,9 +11,9 @@ import trimesh
 
 from oes.meshes.convex import fill, inside, scaled_mass, solid_mass
 from oes.meshes.draft import resting
-from oes.meshes.parametric import OUTLINES_MM, plate
-from oes.meshes.procedural import GENERATORS, generate
-from oes.meshes.shapes import Shape, block, hull
+from oes.meshes.generators.mit_push import OUTLINES_MM, plate
+from oes.meshes.generators.procedural import GENERATORS, generate
+from oes.meshes.generators.shapes import Shape, block, convex_hull
 
 ORIGINALS = Path(__file__).resolve().parents[2] / "shared" / "meshes" / "mit_push"
 NUM_STYLES = 5
@@ -28,7 +30,9 @@ def shapes() -> dict[str, Shape]:
     return plates | others
 
 
-@pytest.mark.skipif(not ORIGINALS.is_dir(), reason="the original meshes are not beside the repository")
+@pytest.mark.skipif(
+    not ORIGINALS.is_dir(), reason="the original meshes are not beside the repository"
+)
 @pytest.mark.parametrize("name", sorted(OUTLINES_MM))
 def test_mit_push_outlines_match_the_originals_at_true_scale(name: str) -> None:
     original = trimesh.load_mesh(ORIGINALS / f"{name}.obj", skip_materials=True)
@@ -45,7 +49,11 @@ def test_plates_have_the_size_asked_for() -> None:
 
 
 def test_every_generated_mesh_is_one_watertight_volume(shapes: dict[str, Shape]) -> None:
-    bad = {name for name, shape in shapes.items() if not (shape.solid.is_volume and shape.solid.body_count == 1)}
+    bad = {
+        name
+        for name, shape in shapes.items()
+        if not (shape.solid.is_volume and shape.solid.body_count == 1)
+    }
     assert not bad
 
 
@@ -63,7 +71,12 @@ def test_parts_cover_the_surface_and_leave_cavities_open(shapes: dict[str, Shape
         for style in range(NUM_STYLES):
             shape = shapes[f"{category}_{style}"]
             points = shape.solid.sample(400, seed=0)
-            assert inside(shape.parts, 0.999 * points + 0.001 * shape.solid.triangles_center.mean(0)).mean() > 0.9
+            assert (
+                inside(
+                    shape.parts, 0.999 * points + 0.001 * shape.solid.triangles_center.mean(0)
+                ).mean()
+                > 0.9
+            )
             mouth = np.array([[0.0, 0.0, share * shape.solid.bounds[1, 2]] for share in (0.5, 0.8)])
             assert not inside(shape.parts, mouth).any()
 
@@ -76,8 +89,13 @@ def test_styles_of_a_category_differ(shapes: dict[str, Shape]) -> None:
 
 
 def test_generators_depend_on_their_seed_only() -> None:
-    first, again, other = (generate("camera", 0, np.random.default_rng(seed)).solid for seed in (3, 3, 4))
-    assert first.vertices.tobytes() == again.vertices.tobytes() and first.faces.tobytes() == again.faces.tobytes()
+    first, again, other = (
+        generate("camera", 0, np.random.default_rng(seed)).solid for seed in (3, 3, 4)
+    )
+    assert (
+        first.vertices.tobytes() == again.vertices.tobytes()
+        and first.faces.tobytes() == again.faces.tobytes()
+    )
     assert first.vertices.tobytes() != other.vertices.tobytes()
 
 
@@ -92,10 +110,14 @@ def test_scaled_mass_is_that_of_the_scaled_mesh(shapes: dict[str, Shape]) -> Non
 
 
 def test_mass_of_a_box_is_the_textbook_one() -> None:
-    mass = solid_mass(hull([(x, y, z) for x in (0, 2) for y in (0, 3) for z in (0, 4)]).solid)
+    mass = solid_mass(
+        convex_hull([(x, y, z) for x in (0, 2) for y in (0, 3) for z in (0, 4)]).solid
+    )
     assert mass.volume_m3 == pytest.approx(24)
     np.testing.assert_allclose(mass.com_obj_3, [1, 1.5, 2])
-    np.testing.assert_allclose(mass.inertia_obj_33, np.diag([9 + 16, 4 + 16, 4 + 9]) * 24 / 12, atol=1e-9)
+    np.testing.assert_allclose(
+        mass.inertia_obj_33, np.diag([9 + 16, 4 + 16, 4 + 9]) * 24 / 12, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(("tilt_deg", "expected_deg"), [(0.0, 0.0), (10.0, 10.0), (-35.0, 35.0)])

@@ -1,11 +1,13 @@
-"""View prediction: rays composited through a map of known solids end where the image's depth says."""
+"""View prediction: rays composited through a map of known solids end where the image's depth
+says.
+"""
 
 import numpy as np
 import torch
 
 from oes.geom.se3 import inverse, transform
 from oes.geom.voxels import centers
-from oes.percept.rays import Field, composite, crossing, march, rays_of
+from oes.perception.rays import Field, composite, march, ray_box_intersection, rays_of
 from tests.percept_scenes import GRID, SIZES, TABLE, BoxWorld
 
 
@@ -19,10 +21,13 @@ def test_rays_stop_at_the_surfaces_that_the_camera_sees() -> None:
     for size, pose in [TABLE[:2], *((np.array(SIZES[body.mesh]), pose) for body, pose in poses)]:
         is_solid |= (np.abs(transform(inverse(pose), voxels)) <= size / 2).all(axis=1)
     density = torch.from_numpy(np.where(is_solid, 60.0, -60.0)).float().reshape(1, 1, *GRID.shape)
-    K, pose = torch.from_numpy(camera.K_33).float()[None], torch.from_numpy(camera.world_T_cam_44).float()[None]
+    K, pose = (
+        torch.from_numpy(camera.K_33).float()[None],
+        torch.from_numpy(camera.world_T_cam_44).float()[None],
+    )
     rays = rays_of(K, pose, (64, 64), 1)
     field = Field(torch.cat([density, density], dim=1), GRID)
-    _, distance, opacity = composite(*march(field, rays, crossing(rays, GRID), 128))
+    _, distance, opacity = composite(*march(field, rays, ray_box_intersection(rays, GRID), 128))
     depth = (distance * (rays.direction_BP3[0] @ pose[0, :3, 2])).reshape(64, 64)
     seen = torch.from_numpy(frames.depth_m_VHW[0])
     both = (opacity.reshape(64, 64) > 0.99) & (seen > 0)
@@ -33,6 +38,10 @@ def test_rays_stop_at_the_surfaces_that_the_camera_sees() -> None:
 def test_what_stands_in_front_hides_what_stands_behind_and_nothing_lets_all_through() -> None:
     features = torch.tensor([1.0, 2.0, 3.0]).reshape(1, 1, 3, 1)
     distance = torch.tensor([0.5, 1.0, 1.5]).reshape(1, 1, 3)
-    seen, far, opacity = composite(features, torch.tensor([0.0, 50.0, 50.0]).reshape(1, 1, 3), distance)
-    torch.testing.assert_close(torch.stack([seen[0, 0, 0], far[0, 0], opacity[0, 0]]), torch.tensor([2.0, 1.0, 1.0]))
+    seen, far, opacity = composite(
+        features, torch.tensor([0.0, 50.0, 50.0]).reshape(1, 1, 3), distance
+    )
+    torch.testing.assert_close(
+        torch.stack([seen[0, 0, 0], far[0, 0], opacity[0, 0]]), torch.tensor([2.0, 1.0, 1.0])
+    )
     assert composite(features, torch.zeros(1, 1, 3), distance)[2].item() == 0

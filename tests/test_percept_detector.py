@@ -4,19 +4,28 @@ import numpy as np
 import torch
 
 from oes.geom.voxels import centers
-from oes.percept.detector import Detector, apply_deltas, box_deltas, detection_losses, peaks, suppress
-from oes.percept.evaluate import match
+from oes.perception.detector import (
+    DetectorConfig,
+    apply_deltas,
+    box_deltas,
+    detection_losses,
+    nms_3d,
+    top_peaks,
+)
+from oes.perception.evaluate import match_detections
 from tests.percept_scenes import GRID
 
-CFG = Detector(channels=8, anchor_m=0.12, sigma_m=0.02, num_peaks=4, min_score=0.3, max_iou=0.25)
+CFG = DetectorConfig(
+    channels=8, anchor_m=0.12, sigma_m=0.02, num_peaks=4, min_score=0.3, max_iou=0.25
+)
 VOXELS = centers(GRID.halved())
 
 
 def test_suppression_keeps_the_best_of_overlapping_boxes_and_takes_none() -> None:
     boxes = torch.tensor([[0.0, 0, 0], [0.01, 0, 0], [0.2, 0, 0], [0.075, 0, 0]])
-    kept = suppress(boxes, torch.full((4, 3), 0.1), torch.tensor([0.6, 0.9, 0.5, 0.7]), max_iou=0.25)
+    kept = nms_3d(boxes, torch.full((4, 3), 0.1), torch.tensor([0.6, 0.9, 0.5, 0.7]), max_iou=0.25)
     assert kept.tolist() == [1, 3, 2]
-    assert suppress(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), 0.2).tolist() == []
+    assert nms_3d(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), 0.2).tolist() == []
 
 
 def test_deltas_turn_one_box_into_the_other() -> None:
@@ -34,15 +43,19 @@ def test_perfect_dense_output_has_its_peaks_at_the_objects_and_nearly_no_loss() 
     distance = (VOXELS[None] - true[0][0][:, None, None, None]).square().sum(-1)
     closeness = (-distance / (2 * CFG.sigma_m**2)).exp().clamp(1e-6, 1 - 1e-6)
     nearest = closeness.argmax(0)
-    wanted = box_deltas(VOXELS, CFG.anchor_m, true[0][0][nearest], true[1][0][nearest], CFG.anchor_m)
+    wanted = box_deltas(
+        VOXELS, CFG.anchor_m, true[0][0][nearest], true[1][0][nearest], CFG.anchor_m
+    )
     deltas = wanted.movedim(-1, 0)[None]
     logits = torch.logit(closeness.amax(0))[None]
-    found, sizes, scores = peaks(CFG, logits, deltas, VOXELS, 2)
+    found, sizes, scores = top_peaks(CFG, logits, deltas, VOXELS, 2)
     order = found[0, :, 0].argsort(descending=True)
     torch.testing.assert_close(found[0, order], true[0][0], atol=1e-4, rtol=0)
     torch.testing.assert_close(sizes[0, order], true[1][0], atol=1e-4, rtol=0)
     assert scores.min() > 0.5
-    terms = detection_losses(CFG, logits, deltas, VOXELS, (*true, torch.ones(1, 2, dtype=torch.bool)))
+    terms = detection_losses(
+        CFG, logits, deltas, VOXELS, (*true, torch.ones(1, 2, dtype=torch.bool))
+    )
     assert terms["objectness"] < 1e-3 and terms["box"] < 1e-3
 
 
@@ -56,6 +69,8 @@ def test_a_scene_without_objects_has_a_finite_loss() -> None:
 def test_matching_is_one_to_one_within_reach() -> None:
     true = np.array([[0.0, 0, 0], [0.1, 0, 0]])
     found = np.array([[0.04, 0, 0], [0.01, 0, 0], [0.3, 0, 0]])
-    assert match(found, true).tolist() == [-1, 0, -1]
-    assert match(np.array([[0.045, 0, 0], [0.01, 0, 0]]), true).tolist() == [1, 0]
-    assert match(np.zeros((0, 3)), true).tolist() == [] and match(found, np.zeros((0, 3))).tolist() == [-1, -1, -1]
+    assert match_detections(found, true).tolist() == [-1, 0, -1]
+    assert match_detections(np.array([[0.045, 0, 0], [0.01, 0, 0]]), true).tolist() == [1, 0]
+    assert match_detections(np.zeros((0, 3)), true).tolist() == [] and match_detections(
+        found, np.zeros((0, 3))
+    ).tolist() == [-1, -1, -1]

@@ -1,4 +1,6 @@
-"""The lift: a rendered box's surface stands where the box is, and the views' order does not matter."""
+"""The lift: a rendered box's surface stands where the box is, and the views' order does not
+matter.
+"""
 
 import numpy as np
 import pytest
@@ -7,11 +9,11 @@ import torch
 from oes.episode import Frames
 from oes.geom.se3 import transform
 from oes.geom.voxels import centers
-from oes.percept.lift import Lift, Views, lift, views_of
-from oes.percept.samples import STILL, Sampler, random_motion
+from oes.perception.lift import LiftConfig, Views, lift, views_of
+from oes.perception.samples import IDENTITY, Sampler, random_world_transform
 from tests.percept_scenes import GRID, BoxWorld, box_solids, sampling
 
-CFG = Lift(truncation_m=0.03)
+CFG = LiftConfig(truncation_m=0.03)
 
 
 def lifted(views: Views, points: torch.Tensor) -> torch.Tensor:
@@ -47,7 +49,9 @@ def test_between_pixels_a_flat_surface_is_where_it_is() -> None:
     views = views_of(*world.read(0, 0, [1]))
     center, size = step.center_N3[0], step.size_N3[0]
     inner = np.linspace(center - size / 5, center + size / 5, 23)
-    top = torch.tensor(np.column_stack([inner[:, :2], np.full(len(inner), center[2] + size[2] / 2)])).float()[None]
+    top = torch.tensor(
+        np.column_stack([inner[:, :2], np.full(len(inner), center[2] + size[2] / 2)])
+    ).float()[None]
     nearest, between = (
         lift(CFG, views, views.rgb_BVHW3, top, between_pixels=flag)[..., 0].abs() * CFG.truncation_m
         for flag in (False, True)
@@ -67,7 +71,12 @@ def test_between_pixels_an_edge_stays_sharp() -> None:
     points_cam = rays @ torch.linalg.inv(views.K_BV33[0, 0]).mT * 0.9
     points_world = transform(views.world_T_cam_BV44[:, 0], points_cam[None])
     found = lift(CFG, edge, views.rgb_BVHW3, points_world, between_pixels=True)[0]
-    assert found[:, 3].tolist() == [1, 1, 0, 0]  # hidden behind the near side, in the open before the far one
+    assert found[:, 3].tolist() == [
+        1,
+        1,
+        0,
+        0,
+    ]  # hidden behind the near side, in the open before the far one
     assert found[:, 2].tolist() == [0, 0, 1, 1]
 
 
@@ -77,7 +86,9 @@ def test_the_order_of_views_does_not_matter_and_scenes_do_not_mix() -> None:
     one, other = views_of(*world.read(0, 0, [0, 3, 5])), views_of(*world.read(0, 0, [5, 0, 3]))
     torch.testing.assert_close(lifted(one, points), lifted(other, points), atol=1e-5, rtol=0)
     second = views_of(*world.read(1, 0, [1, 2, 4]))
-    both = Views(**{name: torch.cat([getattr(one, name), getattr(second, name)]) for name in vars(one)})
+    both = Views(
+        **{name: torch.cat([getattr(one, name), getattr(second, name)]) for name in vars(one)}
+    )
     together = lifted(both, points.expand(2, -1, -1))
     torch.testing.assert_close(together[0], lifted(one, points)[0], atol=1e-5, rtol=0)
     torch.testing.assert_close(together[1], lifted(second, points)[0], atol=1e-5, rtol=0)
@@ -86,11 +97,11 @@ def test_the_order_of_views_does_not_matter_and_scenes_do_not_mix() -> None:
 def test_a_moved_world_is_seen_as_the_same_world() -> None:
     world, rng = BoxWorld(1), np.random.default_rng(3)
     sampler = Sampler(sampling(), 1, 0, 0, GRID, world, box_solids(), [0])
-    motion = random_motion(sampler.cfg, rng)
+    motion = random_world_transform(sampler.cfg, rng)
     points = np.random.default_rng(0).uniform(-0.2, 0.2, (500, 3)) * [1, 1, 0.4] + [0, 0, 0.05]
-    still = sampler.sample(0, 0, [0, 2], STILL, rng).views
+    still = sampler.sample(0, 0, [0, 2], IDENTITY, rng).views
     moved = sampler.sample(0, 0, [0, 2], motion, rng).views
-    scaled = Lift(truncation_m=CFG.truncation_m * motion.scale)
+    scaled = LiftConfig(truncation_m=CFG.truncation_m * motion.scale)
     before = lift(CFG, still, still.rgb_BVHW3, torch.tensor(points).float()[None])
     after = lift(scaled, moved, moved.rgb_BVHW3, torch.tensor(motion.points(points)).float()[None])
     assert ((before - after).abs().amax(-1) < 1e-3).float().mean() > 0.98

@@ -9,12 +9,12 @@ from safetensors.torch import load_file, save_file
 
 from oes.config import to_json
 from oes.episode import Frames
-from oes.percept.evaluate import detection_rows, detector_figures, truth_of
-from oes.percept.lift import Views, views_of
-from oes.percept.losses import LOSS_TERMS, losses
-from oes.percept.network import PerceptionNet
-from oes.percept.perceiver import CheckpointError, Perceiver
-from oes.percept.samples import Sampler
+from oes.perception.evaluate import detection_rows, detection_summary, true_objects
+from oes.perception.lift import Views, views_of
+from oes.perception.losses import LOSS_TERMS, losses
+from oes.perception.network import PerceptionNet
+from oes.perception.perceiver import Perceiver, PerceptionFileError
+from oes.perception.samples import Sampler
 from tests.percept_scenes import GRID, BoxWorld, box_solids, sampling, small_network
 
 CPU = torch.device("cpu")
@@ -28,14 +28,18 @@ def perceiver(seed: int = 0) -> Perceiver:
 def test_a_batch_is_its_scenes_one_by_one() -> None:
     world, net = BoxWorld(2), perceiver().net
     scenes = [views_of(*world.read(i, 0, [1, 4])) for i in range(2)]
-    both = Views(**{name: torch.cat([getattr(views, name) for views in scenes]) for name in vars(scenes[0])})
+    both = Views(
+        **{name: torch.cat([getattr(views, name) for views in scenes]) for name in vars(scenes[0])}
+    )
     boxes = torch.tensor([[[0.0, 0.1, 0.03]], [[0.05, -0.1, 0.03]]]), torch.full((2, 1, 3), 0.1)
     with torch.no_grad():
         together = net.encode(both)
         masks = net.regions(together, boxes).mask_BKXYZ
         for i, views in enumerate(scenes):
             alone = net.encode(views)
-            torch.testing.assert_close(together.coarse_BCXYZ[i : i + 1], alone.coarse_BCXYZ, atol=1e-3, rtol=1e-3)
+            torch.testing.assert_close(
+                together.coarse_BCXYZ[i : i + 1], alone.coarse_BCXYZ, atol=1e-3, rtol=1e-3
+            )
             mask = net.regions(alone, (boxes[0][i : i + 1], boxes[1][i : i + 1])).mask_BKXYZ
             torch.testing.assert_close(masks[i : i + 1], mask, atol=1e-3, rtol=1e-3)
 
@@ -49,10 +53,16 @@ def test_a_scene_of_nothing_gives_no_objects() -> None:
     boxes = seer.detect(scene)
     assert [len(value) for value in boxes] == [0, 0, 0]
     objects = seer.objects(scene, *boxes, nothing, cameras)
-    assert objects.crop_NCXYZ.shape == (0, 7, 16, 16, 16) and objects.image_NV3HW.shape == (0, 2, 3, 32, 32)
-    rows = detection_rows(seer, scene, truth_of(world.episodes[0], 0, box_solids()))
+    assert objects.crop_NCXYZ.shape == (0, 7, 16, 16, 16) and objects.image_NV3HW.shape == (
+        0,
+        2,
+        3,
+        32,
+        32,
+    )
+    rows = detection_rows(seer, scene, true_objects(world.episodes[0], 0, box_solids()))
     assert len(rows) == len(world.episodes[0].bodies) and all(row["score"] is None for row in rows)
-    assert detector_figures([row | {"episode": 0} for row in rows])["ap_25"] == 0
+    assert detection_summary([row | {"episode": 0} for row in rows])["ap_25"] == 0
 
 
 def test_objects_hold_masked_features_and_the_image_around_each_box() -> None:
@@ -60,13 +70,21 @@ def test_objects_hold_masked_features_and_the_image_around_each_box() -> None:
     step = world.episodes[0].steps[0]
     frames, cameras = world.read(0, 0, [0, 3])
     centers, sizes = torch.tensor(step.center_N3), torch.tensor(step.size_N3)
-    objects = seer.objects(seer.encode(frames, cameras), centers, sizes, torch.ones(len(centers)), frames, cameras)
+    objects = seer.objects(
+        seer.encode(frames, cameras), centers, sizes, torch.ones(len(centers)), frames, cameras
+    )
     mask, behind, hidden = objects.crop_NCXYZ[:, :3].unbind(1)
     assert 0 <= mask.min() and mask.max() <= 1
-    assert ((behind >= 0) & (behind <= 1)).all() and (hidden.max() > 0) and (behind[hidden > 0] > 0).all()
+    assert (
+        ((behind >= 0) & (behind <= 1)).all()
+        and (hidden.max() > 0)
+        and (behind[hidden > 0] > 0).all()
+    )
     color = np.random.default_rng(world.episodes[0].bodies[0].texture_seed).integers(60, 255, 3)
     np.testing.assert_allclose(objects.image_NV3HW[0, :, :, 16, 16], np.tile(color, (2, 1)), atol=1)
-    np.testing.assert_allclose(objects.camera_NV12[0, 1].reshape(3, 4), cameras[1].world_T_cam_44[:3], atol=1e-6)
+    np.testing.assert_allclose(
+        objects.camera_NV12[0, 1].reshape(3, 4), cameras[1].world_T_cam_44[:3], atol=1e-6
+    )
 
 
 def test_weights_survive_their_file_and_views_are_predicted_from_any_camera(tmp_path: Path) -> None:
@@ -83,22 +101,28 @@ def test_weights_survive_their_file_and_views_are_predicted_from_any_camera(tmp_
 
 def test_broken_and_foreign_weights_are_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "weights.safetensors"
-    with pytest.raises(CheckpointError, match=r"weights.safetensors: not a readable"):
+    with pytest.raises(PerceptionFileError, match=r"weights.safetensors: not a readable"):
         Perceiver.load(path)
     path.write_bytes(b"garbage")
-    with pytest.raises(CheckpointError, match="not a readable"):
+    with pytest.raises(PerceptionFileError, match="not a readable"):
         Perceiver.load(path)
     save_file({"a": torch.zeros(1)}, path)
-    with pytest.raises(CheckpointError, match="format is None"):
+    with pytest.raises(PerceptionFileError, match="format is None"):
         Perceiver.load(path)
     seer = perceiver()
     seer.save(path)
     tensors, config = load_file(path), to_json(small_network())
-    save_file(tensors, path, {"format": "oes-perception-3", "config": config.replace('"hidden":32', '"hidden":48')})
-    with pytest.raises(CheckpointError, match="do not fit the stored config"):
+    save_file(
+        tensors,
+        path,
+        {"format": "oes-perception-3", "config": config.replace('"hidden":32', '"hidden":48')},
+    )
+    with pytest.raises(PerceptionFileError, match="do not fit the stored config"):
         Perceiver.load(path)
-    save_file(tensors, path, {"format": "oes-perception-3", "config": config.replace("hidden", "width")})
-    with pytest.raises(CheckpointError, match="hidden: missing"):
+    save_file(
+        tensors, path, {"format": "oes-perception-3", "config": config.replace("hidden", "width")}
+    )
+    with pytest.raises(PerceptionFileError, match="hidden: missing"):
         Perceiver.load(path)
 
 

@@ -11,13 +11,20 @@ from torch import Tensor
 
 from oes.meshes.catalogue import TRAIN
 from oes.objects import Objects
-from oes.percept.draws import TEST_SETTINGS, Draws, Observer, perceive_all
-from oes.percept.network import PerceptionNet
-from oes.percept.perceiver import Perceiver
-from oes.percept.store import Draw, ObjectsError, joined, pack, read_objects, write_objects
+from oes.perception.network import PerceptionNet
+from oes.perception.objects_file import (
+    ObjectsError,
+    Observation,
+    joined,
+    pack,
+    read_objects,
+    write_objects,
+)
+from oes.perception.observations import TEST_SETTINGS, ObjectsConfig, ScenePerceiver, perceive_split
+from oes.perception.perceiver import Perceiver
 from tests.percept_scenes import BoxWorld, box_shells, box_solids, small_network
 
-CFG = Draws(
+CFG = ObjectsConfig(
     seed=0,
     num_workers=2,
     fixed_camera=2,
@@ -49,18 +56,20 @@ def surfaces(count: int) -> tuple[Tensor, Tensor]:
     return torch.full((count, 6, 32), 0.03), torch.zeros(count, 3)
 
 
-def observer(world: BoxWorld, *, is_train: bool) -> Observer:
+def observer(world: BoxWorld, *, is_train: bool) -> ScenePerceiver:
     torch.manual_seed(0)
     seer = Perceiver(PerceptionNet(small_network()), torch.device("cpu"))
     settings = CFG.settings("pushing", TRAIN if is_train else "test2")
-    return Observer(CFG, settings, seer, world, box_shells(), None if is_train else box_solids())
+    return ScenePerceiver(
+        CFG, settings, seer, world, box_shells(), None if is_train else box_solids()
+    )
 
 
 def test_draws_come_back_as_written_even_those_without_objects(tmp_path: Path) -> None:
     draws = [
-        Draw(4, "b", (7, 3), random_objects(2, 2), np.array([1, -1]), surfaces(2)),
-        Draw(4, "a", (5,), random_objects(0, 1), np.zeros(0, dtype=np.int64), surfaces(0)),
-        Draw(6, "b", (1,), random_objects(1, 1), np.array([0]), surfaces(1)),
+        Observation(4, "b", (7, 3), random_objects(2, 2), np.array([1, -1]), surfaces(2)),
+        Observation(4, "a", (5,), random_objects(0, 1), np.zeros(0, dtype=np.int64), surfaces(0)),
+        Observation(6, "b", (1,), random_objects(1, 1), np.array([0]), surfaces(1)),
     ]
     shards = [pack(draws[:2], ["a", "b"], 3), pack(draws[2:], ["a", "b"], 3)]
     write_objects(tmp_path / "o.safetensors", joined(shards), ["a", "b"])
@@ -73,7 +82,10 @@ def test_draws_come_back_as_written_even_those_without_objects(tmp_path: Path) -
         assert gt_N.tolist() == draw.gt_N.tolist()
         torch.testing.assert_close(objects.crop_NCXYZ, draw.objects.crop_NCXYZ)
         torch.testing.assert_close(objects.image_NV3HW[:, :num_views], draw.objects.image_NV3HW)
-        assert objects.view_NV.sum() == len(draw.gt_N) * num_views and not objects.view_NV[:, num_views:].any()
+        assert (
+            objects.view_NV.sum() == len(draw.gt_N) * num_views
+            and not objects.view_NV[:, num_views:].any()
+        )
     with pytest.raises(ObjectsError, match="there are: a, b"):
         store.draws("c")
 
@@ -85,7 +97,9 @@ def test_files_that_are_no_objects_are_refused_by_name(tmp_path: Path) -> None:
     save_file({"a": torch.zeros(1)}, path)
     with pytest.raises(ObjectsError, match="its format is None"):
         read_objects(path)
-    tensors = pack([Draw(0, "a", (1,), random_objects(2, 1), np.array([0, 1]), surfaces(2))], ["a"], 1)
+    tensors = pack(
+        [Observation(0, "a", (1,), random_objects(2, 1), np.array([0, 1]), surfaces(2))], ["a"], 1
+    )
     write_objects(path, tensors | {"score_O": torch.zeros(1)}, ["a"])
     with pytest.raises(ObjectsError, match="do not belong together"):
         read_objects(path)
@@ -96,7 +110,11 @@ def test_training_draws_are_the_true_boxes_jittered_from_views_of_their_own() ->
     draws, detections, predictions = observer(world, is_train=True).episode(0)
     true = world.episodes[0].steps[0].center_N3
     assert [draw.setting for draw in draws] == ["train1", "train1", "train2", "fixed"]
-    assert draws[3].views == (2,) and draws[0].views != draws[1].views and len(set(draws[2].views)) == 2
+    assert (
+        draws[3].views == (2,)
+        and draws[0].views != draws[1].views
+        and len(set(draws[2].views)) == 2
+    )
     for draw in draws:
         shift = draw.objects.center_N3.numpy() - true
         assert 0 < np.abs(shift).max() < 0.05 and draw.gt_N.tolist() == list(range(len(true)))
@@ -114,11 +132,13 @@ def test_a_split_is_seen_under_the_settings_asked_for_and_as_with_all(tmp_path: 
         assert draw.views == of_all[draw.setting].views
         assert torch.equal(draw.objects.outline_NRK3, of_all[draw.setting].objects.outline_NRK3)
     assert {row["num_views"] for row in detections} == {1}
-    tensors, _, _ = perceive_all(replace(few, source=world), tmp_path)
+    tensors, _, _ = perceive_split(replace(few, source=world), tmp_path)
     write_objects(tmp_path / "o.safetensors", tensors, list(few.settings))
     with pytest.raises(ObjectsError, match="there are: 1view_gt, 1view_pred"):
         read_objects(tmp_path / "o.safetensors").draws("3views_gt")
-    with pytest.raises(ValueError, match=r"test_settings.pushing.test1: unknown 9views; there are: 3views_gt"):
+    with pytest.raises(
+        ValueError, match=r"test_settings.pushing.test1: unknown 9views; there are: 3views_gt"
+    ):
         replace(CFG, test_settings={"pushing": {"test1": ("9views",)}})
 
 
@@ -139,11 +159,11 @@ def test_at_test_views_are_nested_and_every_object_is_accounted_for() -> None:
 
 
 def test_finished_shards_are_not_perceived_again(tmp_path: Path) -> None:
-    whole = perceive_all(observer(BoxWorld(3), is_train=True), tmp_path)[0]
+    whole = perceive_split(observer(BoxWorld(3), is_train=True), tmp_path)[0]
     assert len(whole["episode_D"]) == 3 * 4 and set(whole["episode_D"].tolist()) == {0, 1, 2}
     (tmp_path / "shard_000002.safetensors").unlink()
     stamp = (tmp_path / "shard_000000.safetensors").stat().st_mtime_ns
-    again = perceive_all(observer(BoxWorld(3), is_train=True), tmp_path)[0]
+    again = perceive_split(observer(BoxWorld(3), is_train=True), tmp_path)[0]
     assert (tmp_path / "shard_000000.safetensors").stat().st_mtime_ns == stamp
     for name, value in whole.items():
         torch.testing.assert_close(again[name], value, msg=name)

@@ -3,12 +3,14 @@
 import pytest
 import torch
 
-from oes import precision
+from oes.training import precision
 
 CPU = torch.device("cpu")
 
 
-@pytest.mark.parametrize(("can", "wanted"), [(True, True), (True, False), (False, True), (False, False)])
+@pytest.mark.parametrize(
+    ("can", "wanted"), [(True, True), (True, False), (False, True), (False, False)]
+)
 def test_bfloat16_is_used_where_it_is_wanted_and_the_machine_has_it(
     monkeypatch: pytest.MonkeyPatch, can: bool, wanted: bool
 ) -> None:

@@ -61,7 +61,9 @@ def test_depth_is_rounded_to_millimetres(tmp_path: Path) -> None:
     [frames] = make_frames(episode)
     exact = replace(frames, depth_m_VHW=frames.depth_m_VHW + np.float32(0.0003))
     write_episode(episode, [exact], tmp_path / "traj_000000")
-    assert np.array_equal(read_frames(tmp_path / "traj_000000", 0, None).depth_m_VHW, frames.depth_m_VHW)
+    assert np.array_equal(
+        read_frames(tmp_path / "traj_000000", 0, None).depth_m_VHW, frames.depth_m_VHW
+    )
 
 
 def test_episode_without_objects_or_actions(tmp_path: Path) -> None:
@@ -85,7 +87,11 @@ def test_same_episode_same_bytes(split: Path, tmp_path: Path) -> None:
 
 
 def test_listing_is_sorted_and_holds_episodes_only(split: Path) -> None:
-    assert [path.name for path in list_episodes(split)] == ["traj_000000", "traj_000001", "traj_000002"]
+    assert [path.name for path in list_episodes(split)] == [
+        "traj_000000",
+        "traj_000001",
+        "traj_000002",
+    ]
 
 
 def test_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -113,13 +119,17 @@ def test_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
 def test_images_that_cannot_be_recorded_are_refused(damage, reason: str, tmp_path: Path) -> None:
     episode = make_episode(num_steps=1)
     with pytest.raises(ValueError, match=reason):
-        write_episode(episode, [damage(frames) for frames in make_frames(episode)], tmp_path / "traj_000000")
+        write_episode(
+            episode, [damage(frames) for frames in make_frames(episode)], tmp_path / "traj_000000"
+        )
 
 
 def test_episodes_that_contradict_themselves_are_refused(tmp_path: Path) -> None:
     episode = make_episode()
     first, second, third = episode.steps
-    renamed = replace(second, cameras=tuple(replace(camera, name="cam_00") for camera in second.cameras))
+    renamed = replace(
+        second, cameras=tuple(replace(camera, name="cam_00") for camera in second.cameras)
+    )
     for wrong, reason in [
         (replace(episode, steps=(first, renamed, third)), "cameras"),
         (replace(episode, steps=(first, third, second)), "times"),
@@ -139,5 +149,7 @@ def test_frame_source_reads_images_and_their_cameras(split: Path) -> None:
     source = FrameSource(split)
     frames, cameras = source.read(2, 1, [4, 20])
     assert len(source) == 3
-    assert np.array_equal(frames.rgb_VHW3, make_frames(make_episode(seed=2), seed=2)[1].rgb_VHW3[[4, 20]])
+    assert np.array_equal(
+        frames.rgb_VHW3, make_frames(make_episode(seed=2), seed=2)[1].rgb_VHW3[[4, 20]]
+    )
     assert_equal(cameras, tuple(make_episode(seed=2).steps[1].cameras[i] for i in (4, 20)))

@@ -43,7 +43,9 @@ def bag_of(folder: Path) -> Path:
 
 
 def chunk_heads(data: bytes) -> list[int]:
-    """Where each chunk record begins: 41 bytes before its compression's name (which the summary repeats)."""
+    """Where each chunk record begins: 41 bytes before its compression's name (which the summary
+    repeats).
+    """
     names = [match.start() for match in re.finditer(b"zstd", data)]
     return [name - 41 for name in names[: len(names) // 2]]
 
@@ -59,13 +61,17 @@ def test_a_sound_episode_passes(sound: Path) -> None:
 
 
 def test_no_flipped_bit_is_silently_wrong(damaged: Path) -> None:
-    """The check finds every flip; a plain read raises or returns the truth; neither maps 200 MB more."""
+    """The check finds every flip; a plain read raises or returns the truth; neither maps 200 MB
+    more.
+    """
     path = bag_of(damaged)
     data = path.read_bytes()
     truth, images = make_episode(), make_frames(make_episode())[1]
     rng = np.random.default_rng(0)
     ends = np.concatenate([np.arange(300), 8 * len(data) - 1 - np.arange(300)])
-    bits = np.concatenate([rng.integers(0, 8 * len(data), NUM_FLIPS), rng.choice(ends, NUM_FLIPS // 3)])
+    bits = np.concatenate(
+        [rng.integers(0, 8 * len(data), NUM_FLIPS), rng.choice(ends, NUM_FLIPS // 3)]
+    )
     with limited_memory(200 << 20):
         for bit in bits.tolist():
             flip(path, data, bit)
@@ -79,14 +85,24 @@ def test_no_flipped_bit_is_silently_wrong(damaged: Path) -> None:
 
 
 def test_flipped_lengths_allocate_nothing(damaged: Path) -> None:
-    """High bits of the sizes in the first chunk's record, head and zstd frame: refused before any allocation."""
+    """High bits of the sizes in the first chunk's record, head and zstd frame: refused before any
+    allocation.
+    """
     path = bag_of(damaged)
     data = path.read_bytes()
     chunk = chunk_heads(data)[0]
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for byte in [*range(chunk + 1, chunk + 9), *range(chunk + 25, chunk + 33), *range(chunk + 45, chunk + 70)]:
+    for byte in [
+        *range(chunk + 1, chunk + 9),
+        *range(chunk + 25, chunk + 33),
+        *range(chunk + 45, chunk + 70),
+    ]:
         flip(path, data, 8 * byte + 7)
-        for attempt in (check_episode, read_episode, lambda folder: recover(folder, folder.parent / "traj_out")):
+        for attempt in (
+            check_episode,
+            read_episode,
+            lambda folder: recover(folder, folder.parent / "traj_out"),
+        ):
             with pytest.raises(EpisodeError):
                 attempt(damaged)
             shutil.rmtree(damaged.parent / "traj_out", ignore_errors=True)
@@ -103,7 +119,9 @@ def test_truncated_files_are_refused(damaged: Path, share: float) -> None:
         assert caught.value.path == path
 
 
-def test_truncated_file_is_recovered_up_to_its_last_whole_state(damaged: Path, tmp_path: Path) -> None:
+def test_truncated_file_is_recovered_up_to_its_last_whole_state(
+    damaged: Path, tmp_path: Path
+) -> None:
     path = bag_of(damaged)
     path.write_bytes(path.read_bytes()[: int(0.8 * path.stat().st_size)])
     out = tmp_path / "rescued" / "traj_000000"
@@ -112,7 +130,9 @@ def test_truncated_file_is_recovered_up_to_its_last_whole_state(damaged: Path, t
     assert 0 < kept.messages < kept.messages_due
     check_episode(out)
     assert_equal(read_episode(out).steps, make_episode().steps[: kept.steps])
-    assert_equal(read_frames(out, kept.steps - 1, None), make_frames(make_episode())[kept.steps - 1])
+    assert_equal(
+        read_frames(out, kept.steps - 1, None), make_frames(make_episode())[kept.steps - 1]
+    )
 
 
 def test_recovering_a_sound_file_gives_the_same_bytes(sound: Path, tmp_path: Path) -> None:
@@ -149,7 +169,9 @@ def test_foreign_and_missing_files_are_named(damaged: Path, tmp_path: Path) -> N
         channel = writer.register_channel("/episode", "cdr", schema)
         writer.add_message(channel, 1, b"\0\1\0\0", 1)
         writer.finish()
-    with pytest.raises(EpisodeError, match="the type of /episode is not our oes_msgs/msg/EpisodeInfo"):
+    with pytest.raises(
+        EpisodeError, match="the type of /episode is not our oes_msgs/msg/EpisodeInfo"
+    ):
         read_episode(damaged)
     path.unlink()
     with pytest.raises(EpisodeError, match="0 MCAP files"):
@@ -168,7 +190,9 @@ def test_metadata_must_describe_the_file(damaged: Path) -> None:
         check_episode(damaged)
 
 
-def test_doctor_names_the_broken_and_recovers_them(sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_doctor_names_the_broken_and_recovers_them(
+    sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     split = tmp_path / "pushing-train"
     for index in range(3):
         copy = Path(shutil.copytree(sound, split / f"traj_{index:06d}"))

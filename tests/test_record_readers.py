@@ -1,4 +1,6 @@
-"""Readers that we did not write see the same pixels and states: rosbags, and the MCAP packages of Foxglove."""
+"""Readers that we did not write see the same pixels and states: rosbags, and the MCAP packages of
+Foxglove.
+"""
 
 import json
 import shutil
@@ -29,7 +31,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def due_counts() -> dict[str, int]:
-    return topic_counts(tuple(camera.name for camera in make_episode(num_steps=1).steps[0].cameras), 3)
+    return topic_counts(
+        tuple(camera.name for camera in make_episode(num_steps=1).steps[0].cameras), 3
+    )
 
 
 def pixel_digests() -> dict[str, str]:
@@ -38,10 +42,19 @@ def pixel_digests() -> dict[str, str]:
     frames = make_frames(make_episode())
     for camera_i, camera in enumerate(make_episode(num_steps=1).steps[0].cameras):
         rgb = [step.rgb_VHW3[camera_i].tobytes() for step in frames]
-        depth = [np.rint(step.depth_m_VHW[camera_i] * 1000).astype("<u2").tobytes() for step in frames]
+        depth = [
+            np.rint(step.depth_m_VHW[camera_i] * 1000).astype("<u2").tobytes() for step in frames
+        ]
         seg = [step.seg_VHW[camera_i].tobytes() for step in frames]
-        kinds = {"color/image_raw": rgb, "depth/image_rect_raw": depth, "segmentation/image_raw": seg}
-        digests |= {f"/{camera.name}/{kind}": sha256(b"".join(each)).hexdigest() for kind, each in kinds.items()}
+        kinds = {
+            "color/image_raw": rgb,
+            "depth/image_rect_raw": depth,
+            "segmentation/image_raw": seg,
+        }
+        digests |= {
+            f"/{camera.name}/{kind}": sha256(b"".join(each)).hexdigest()
+            for kind, each in kinds.items()
+        }
     return digests
 
 
@@ -59,13 +72,17 @@ def test_rosbags_reads_every_message_by_the_definitions_in_the_file(folder: Path
             latest[connection.topic] = content
             assert stamp_ns in stamps_ns
             if connection.msgtype == "sensor_msgs/msg/Image":
-                pixels[connection.topic] = pixels.get(connection.topic, b"") + content.data.tobytes()
+                pixels[connection.topic] = (
+                    pixels.get(connection.topic, b"") + content.data.tobytes()
+                )
     assert {topic: sha256(data).hexdigest() for topic, data in pixels.items()} == pixel_digests()
     check_drawn(latest)
 
 
 def check_drawn(latest: dict) -> None:
-    """The standard messages of the last state agree with it: camera pose and intrinsics, boxes, joints."""
+    """The standard messages of the last state agree with it: camera pose and intrinsics, boxes,
+    joints.
+    """
     step = make_episode().steps[-1]
     transforms = {t.child_frame_id: t for t in latest["/tf"].transforms}
     assert len(transforms) == 27 + 2 + 9
@@ -74,15 +91,21 @@ def check_drawn(latest: dict) -> None:
     world_R_cam = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
     np.testing.assert_allclose(world_R_cam, step.cameras[5].world_T_cam_44[:3, :3], atol=1e-12)
     np.testing.assert_array_equal([t.x, t.y, t.z], step.cameras[5].world_T_cam_44[:3, 3])
-    np.testing.assert_array_equal(latest["/cam_05/depth/camera_info"].k.reshape(3, 3), step.cameras[5].K_33)
+    np.testing.assert_array_equal(
+        latest["/cam_05/depth/camera_info"].k.reshape(3, 3), step.cameras[5].K_33
+    )
     marker = latest["/objects/markers"].markers[1]
     np.testing.assert_array_equal([marker.scale.x, marker.scale.y, marker.scale.z], step.size_N3[1])
-    np.testing.assert_array_equal([marker.pose.position.x, marker.pose.position.y], step.center_N3[1, :2])
+    np.testing.assert_array_equal(
+        [marker.pose.position.x, marker.pose.position.y], step.center_N3[1, :2]
+    )
     np.testing.assert_array_equal(latest["/joint_states"].position, step.joints_rad_J)
 
 
 def test_metadata_is_version_8(folder: Path) -> None:
-    information = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    information = yaml.safe_load((folder / "metadata.yaml").read_text())[
+        "rosbag2_bagfile_information"
+    ]
     assert information["version"] == 8
     assert information["relative_file_paths"] == ["traj_000000_0.mcap"]
     topics = [topic["topic_metadata"] for topic in information["topics_with_message_count"]]

@@ -20,26 +20,36 @@ def write_split(folder: Path, count: int) -> None:
     for index in range(count):
         episode = make_episode(seed=index)
         bodies = tuple(replace(body, mesh=f"<i>{body.mesh}&") for body in episode.bodies)
-        write_episode(replace(episode, bodies=bodies), make_frames(episode), folder / f"traj_{index:06d}")
+        write_episode(
+            replace(episode, bodies=bodies), make_frames(episode), folder / f"traj_{index:06d}"
+        )
 
 
 def test_sheet_shows_every_layer_of_every_state_and_needs_nothing_else(tmp_path: Path) -> None:
     write_split(tmp_path, 1)
     assert main([str(tmp_path / "traj_000000"), "--out", str(tmp_path / "sheet.html")]) == 0
     html = (tmp_path / "sheet.html").read_text()
-    shown = re.findall(r'<img data-step="(\d)" data-layer="(\w+)" src="data:image/(\w+);base64,', html)
+    shown = re.findall(
+        r'<img data-step="(\d)" data-layer="(\w+)" src="data:image/(\w+);base64,', html
+    )
     formats = {"colour": "jpeg", "depth": "jpeg", "segmentation": "png"}
-    assert sorted(shown) == sorted((str(i), layer, kind) for i in range(3) for layer, kind in formats.items())
+    assert sorted(shown) == sorted(
+        (str(i), layer, kind) for i in range(3) for layer, kind in formats.items()
+    )
     assert "http" not in html and "<link" not in html
     assert "&lt;i&gt;mesh_0&amp;" in html and "<i>mesh_0" not in html
-    drawings = [ElementTree.fromstring(svg) for svg in re.findall(r"<svg.*?</svg>", html, re.DOTALL)]
+    drawings = [
+        ElementTree.fromstring(svg) for svg in re.findall(r"<svg.*?</svg>", html, re.DOTALL)
+    ]
     assert len(drawings) == 4
     assert len(drawings[0].findall("g[@class='boxes']")) == 3
     assert all(len(group.findall("path")) == 2 for group in drawings[0].findall("g"))
 
 
 def test_boxes_are_drawn_where_the_cameras_see_them() -> None:
-    """Every camera of the factory looks at (0, 0, 0.1): a small cube there lies around the middle of each view."""
+    """Every camera of the factory looks at (0, 0, 0.1): a small cube there lies around the middle
+    of each view.
+    """
     cameras = make_episode(size_px=128).steps[0].cameras
     for view_i, camera in enumerate(cameras):
         corner = np.array(place(view_i, len(cameras), (128, 128)))

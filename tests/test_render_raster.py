@@ -19,7 +19,9 @@ POSE = rigid(rotation_z(0.4), np.array([0.03, -0.02, 0.06]))
 SIZE_M = np.array([0.2, 0.12, 0.08])
 
 
-def mesh_of(triangles: trimesh.Trimesh, seg_id: int = SEG_FIRST_OBJECT, texture_seed: int | None = None) -> RenderMesh:
+def mesh_of(
+    triangles: trimesh.Trimesh, seg_id: int = SEG_FIRST_OBJECT, texture_seed: int | None = None
+) -> RenderMesh:
     vertices, faces = triangles.vertices.astype(np.float32), triangles.faces.astype(np.int32)
     return RenderMesh(vertices, faces, seg_id, 0, np.full(3, 0.5), texture_seed)
 
@@ -49,7 +51,10 @@ def test_depth_of_a_box_from_every_camera() -> None:
     box = trimesh.creation.box(SIZE_M.astype(np.float32))
     frames = Renderer([mesh_of(box)]).render(POSE[None], views)
     for view_i, camera in enumerate(views):
-        truth, depth = box_depth(camera, POSE, SIZE_M.astype(np.float32).astype(float)), frames.depth_m_VHW[view_i]
+        truth, depth = (
+            box_depth(camera, POSE, SIZE_M.astype(np.float32).astype(float)),
+            frames.depth_m_VHW[view_i],
+        )
         assert ((truth > 0) != (depth > 0)).sum() <= 1  # a pixel centre on the silhouette, at most
         both = (truth > 0) & (depth > 0)
         assert both.sum() > 200
@@ -63,7 +68,9 @@ def test_unprojected_depth_lies_on_the_true_surface() -> None:
     frames = Renderer([mesh_of(ball)]).render(POSE[None], views)
     for view_i, camera in enumerate(views):
         depth = torch.from_numpy(frames.depth_m_VHW[view_i]).double()
-        world = unproject(torch.from_numpy(camera.K_33), torch.from_numpy(camera.world_T_cam_44), depth)
+        world = unproject(
+            torch.from_numpy(camera.K_33), torch.from_numpy(camera.world_T_cam_44), depth
+        )
         on_ball = transform(inverse(POSE), world[depth > 0].numpy())
         radius = np.linalg.norm(on_ball, axis=1)
         assert len(radius) > 100
@@ -90,7 +97,9 @@ def test_floor_that_runs_behind_the_camera(height_m: float) -> None:
     corners = np.array([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], float)
     floor = mesh_of(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
     eye = np.array([0.0, 0.0, height_m])
-    camera = Camera("cam", intrinsics(60, 64, 48), look_at(eye, np.array([1.0, 0.1, height_m - 0.2])), 64, 48)
+    camera = Camera(
+        "cam", intrinsics(60, 64, 48), look_at(eye, np.array([1.0, 0.1, height_m - 0.2])), 64, 48
+    )
     depth = Renderer([floor]).render(np.eye(4)[None], [camera]).depth_m_VHW[0]
     eye, rays = rays_obj(camera, np.eye(4))
     truth = -eye[2] / rays[..., 2]
@@ -103,15 +112,25 @@ def test_floor_that_runs_behind_the_camera(height_m: float) -> None:
 
 def test_camera_within_a_box_sees_its_far_walls() -> None:
     size = np.array([1.0, 1.5, 0.5])
-    camera = Camera("cam", intrinsics(90, 40, 40), look_at(np.zeros(3), np.array([1.0, 0.3, 0.2])), 40, 40)
-    depth = Renderer([mesh_of(trimesh.creation.box(size))]).render(np.eye(4)[None], [camera]).depth_m_VHW[0]
+    camera = Camera(
+        "cam", intrinsics(90, 40, 40), look_at(np.zeros(3), np.array([1.0, 0.3, 0.2])), 40, 40
+    )
+    depth = (
+        Renderer([mesh_of(trimesh.creation.box(size))])
+        .render(np.eye(4)[None], [camera])
+        .depth_m_VHW[0]
+    )
     assert np.allclose(depth, box_depth(camera, np.eye(4), size), atol=1e-6)
 
 
 def test_what_is_behind_or_beside_is_not_drawn() -> None:
     box = mesh_of(trimesh.creation.box([0.1] * 3))
-    camera = Camera("cam", intrinsics(42, 32, 32), look_at(np.zeros(3), np.array([1.0, 0, 0])), 32, 32)
-    poses = [rigid(np.eye(3), np.array(place)) for place in ((-0.5, 0, 0), (0.5, 3.0, 0), (0.5, 0, -3.0))]
+    camera = Camera(
+        "cam", intrinsics(42, 32, 32), look_at(np.zeros(3), np.array([1.0, 0, 0])), 32, 32
+    )
+    poses = [
+        rigid(np.eye(3), np.array(place)) for place in ((-0.5, 0, 0), (0.5, 3.0, 0), (0.5, 0, -3.0))
+    ]
     for pose in poses:
         frames = Renderer([box]).render(pose[None], [camera])
         assert not frames.depth_m_VHW.any()
@@ -123,8 +142,13 @@ def test_triangles_without_area_change_nothing() -> None:
     flat = np.concatenate([box.faces, [[0, 0, 1], [2, 2, 2], [0, 1, 0]]])
     views = cameras()[:3]
     clean = Renderer([mesh_of(box)]).render(POSE[None], views)
-    dirty = Renderer([mesh_of(trimesh.Trimesh(box.vertices, flat, process=False))]).render(POSE[None], views)
-    assert all(np.array_equal(a, b) for a, b in zip(vars(clean).values(), vars(dirty).values(), strict=True))
+    dirty = Renderer([mesh_of(trimesh.Trimesh(box.vertices, flat, process=False))]).render(
+        POSE[None], views
+    )
+    assert all(
+        np.array_equal(a, b)
+        for a, b in zip(vars(clean).values(), vars(dirty).values(), strict=True)
+    )
 
 
 def test_empty_scene_is_all_sky() -> None:
@@ -135,4 +159,8 @@ def test_empty_scene_is_all_sky() -> None:
         assert not frames.depth_m_VHW.any()
         assert not frames.seg_VHW.any()
         assert frames.rgb_VHW3.min() > 100
-    assert (frames.rgb_VHW3.dtype, frames.depth_m_VHW.dtype, frames.seg_VHW.dtype) == (np.uint8, np.float32, np.uint8)
+    assert (frames.rgb_VHW3.dtype, frames.depth_m_VHW.dtype, frames.seg_VHW.dtype) == (
+        np.uint8,
+        np.float32,
+        np.uint8,
+    )

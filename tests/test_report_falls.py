@@ -5,17 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from oes.csv_io import write_csv
 from oes.report.metrics import study_tree
 from oes.report.rows import ERRORS, RowsError, read_columns
 from oes.report.study import forecast_tables, forecasts
 from oes.report.table import markdown
-from oes.rows import write_csv
 from tests.report_inputs import UNTOLD
 
 
 def _falls(path: Path) -> Path:
-    """Falls among 2 to 4 objects, two episodes of each: all errors are T mm, but for one object of each scene that
-    graph_xyz lets through the table, 100 T mm off."""
+    """Falls among 2 to 4 objects, two episodes of each: all errors are T mm, but for one object of
+    each scene that graph_xyz lets through the table, 100 T mm off.
+    """
     rows = [
         {
             "task": "falling",
@@ -50,18 +51,29 @@ def test_table_2_tells_of_falls(tmp_path: Path) -> None:
     found = forecasts(read_columns([_falls(tmp_path / "errors.csv")], ERRORS), seed=0)
     table, by_objects = forecast_tables(found, ["Profile test."])
     assert (table.name, by_objects.name) == ("table2", "by-objects-falling") and not found.by_views
-    assert [row[0] for row in table.cells if row[0]] == ["1 view, predicted boxes", "1 view, true boxes"]
+    assert [row[0] for row in table.cells if row[0]] == [
+        "1 view, predicted boxes",
+        "1 view, true boxes",
+    ]
     first, *_, sixth = table.cells[:6]
     assert first[1:3] == ("graph-XYZ", "translation (mm)") and first[5].startswith("146.4 [")
-    assert first[6:10] == ("5.0", "28.6%", "14", "5.2 / 11.7 / 278.6"), "4 of the 14 objects, those of 2 not among them"
+    assert first[6:10] == ("5.0", "28.6%", "14", "5.2 / 11.7 / 278.6"), (
+        "4 of the 14 objects, those of 2 not among them"
+    )
     assert first[13:] == ("252.5", "50.0%", "8")
     errors = ("0.5 [0.5, 0.5]", "1.5 [1.5, 1.5]", "2.5 [2.5, 2.5]", "2.5")
     assert sixth[2:] == ("surface distance (mm)", *errors, "", "14", "", *errors, "", "8")
     assert table.cells[3][9] == "5.0 / 13.1 / 16.4" and table.cells[4][9] == "6.1 / 12.6 / 18.7"
     assert table.cells[1][9] == "5.7 / 10.4 / 43.3" and all(row[9] == "" for row in table.cells[6:])
-    shares = {line.diverged for line in found.main if line.model == "graph_xyz" and line.objects == "all"}
+    shares = {
+        line.diverged for line in found.main if line.model == "graph_xyz" and line.objects == "all"
+    }
     assert shares == {4 / 14}, "the same under every metric and setting"
-    last = {record["metric"]: record for record in table.records if record["T"] == 5 and record["objects"] == "moved"}
+    last = {
+        record["metric"]: record
+        for record in table.records
+        if record["T"] == 5 and record["objects"] == "moved"
+    }
     assert {record["median"] for record in last.values()} == {5.0, 10.0, 2.5}
     assert found.ratios["1view_pred", "translation_mm", 5][0] == pytest.approx(70 / 2050)
     assert {line.group for line in found.by_objects} == {"2", "3", "4"}
@@ -77,7 +89,9 @@ def test_table_2_tells_of_falls(tmp_path: Path) -> None:
 def test_rows_of_other_tasks_are_refused(tmp_path: Path) -> None:
     falls = read_columns([_falls(tmp_path / "falls.csv")], ERRORS)
     mixed = falls | {"task": np.where(falls["episode_i"] == 0, "pushing", "falling")}
-    with pytest.raises(RowsError, match=r"one task of pushing, falling; these are of: \['falling', 'pushing'\]"):
+    with pytest.raises(
+        RowsError, match=r"one task of pushing, falling; these are of: \['falling', 'pushing'\]"
+    ):
         forecasts(mixed, seed=0)
     with pytest.raises(RowsError, match=r"these are of: \[\]"):
         forecasts(read_columns([], ERRORS), seed=0)

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from oes.film import write_video
 from oes.report.site import Fact, write_site
 from oes.report.table import Table
+from oes.viz.overlay import write_video
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 # Waits for every picture and film, then sends what it found to where the page came from.
@@ -45,9 +45,26 @@ def page(tmp_path: Path) -> Path:
     (tmp_path / "metrics.json").write_text("{}")
     cells = [(f"model {i}", *(f"{i}.{j} [0.0, 99.9]" for j in range(12))) for i in range(3)]
     cells.append(("3D-OES", *(["**1.0**"] * 12)))
-    table = Table("table1", "A wide table", ("model", *map(str, range(12))), tuple(cells), (), ("A note <of> it.",))
-    pictures = ({"figures/error-over-time.png": "Errors."}, {"Films": ["figures/rollouts-pushing.mp4"]})
-    write_site(tmp_path / "index.html", ["Where it is from."], [Fact("0.5", "a ratio")], [table], pictures, "two cores")
+    table = Table(
+        "table1",
+        "A wide table",
+        ("model", *map(str, range(12))),
+        tuple(cells),
+        (),
+        ("A note <of> it.",),
+    )
+    pictures = (
+        {"figures/error-over-time.png": "Errors."},
+        {"Films": ["figures/rollouts-pushing.mp4"]},
+    )
+    write_site(
+        tmp_path / "index.html",
+        ["Where it is from."],
+        [Fact("0.5", "a ratio")],
+        [table],
+        pictures,
+        "two cores",
+    )
     return tmp_path / "index.html"
 
 
@@ -56,7 +73,9 @@ def test_the_page_holds_everything_and_asks_for_nothing(page: Path) -> None:
     assert set(re.findall(r'(?:src|href)="([^",]*)', text)) == {
         "#forecasts", "data:image/png;base64", "data:video/mp4;base64", "data:application/json;base64",
     }  # fmt: skip
-    assert '<tr class="ours"><td>3D-OES</td><td>1.0</td>' in text and "A note &lt;of&gt; it." in text
+    assert (
+        '<tr class="ours"><td>3D-OES</td><td>1.0</td>' in text and "A note &lt;of&gt; it." in text
+    )
     assert "Control" not in text, "no section without anything in it"
 
 

@@ -7,18 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from oes.csv_io import write_csv
 from oes.report.forecast import Group, Line, forecast_table, lines, ratio
 from oes.report.metrics import forecast_tree, ratio_tree, trials_tree, write_json
 from oes.report.paper import FORECAST
 from oes.report.rows import ERRORS, TRIALS, RowsError, read_columns, select
 from oes.report.table import latex, markdown, write_table
 from oes.report.trials import outcomes, trials_table
-from oes.rows import write_csv
 from tests.report_inputs import UNTOLD
 
 
 def _errors(path: Path) -> Path:
-    """Two models, three episodes of two objects; graph_xyz errs by 10 T per object number, oes by half of that.
+    """Two models, three episodes of two objects; graph_xyz errs by 10 T per object number, oes by
+    half of that.
 
     Surfaces are off by a fifth as much, and by ten times that in the last episode.
     """
@@ -40,7 +41,11 @@ def _errors(path: Path) -> Path:
                             "T": T,
                             "translation_mm": factor * 10 * T * (object_i + 1),
                             "rotation_deg": factor * T,
-                            "surface_mm": factor * 2 * T * (object_i + 1) * (10 if episode_i == 2 else 1),
+                            "surface_mm": factor
+                            * 2
+                            * T
+                            * (object_i + 1)
+                            * (10 if episode_i == 2 else 1),
                             "moved": object_i == 0,
                             "detected": not (episode_i == 0 and object_i == 1),
                             "penetration_mm": 0.0,
@@ -54,7 +59,10 @@ def _errors(path: Path) -> Path:
 @pytest.fixture
 def found(tmp_path: Path) -> list[Line]:
     rows = read_columns([_errors(tmp_path / "errors.csv")], ERRORS)
-    return lines([Group("1view_pred", "1 view, predicted boxes", rows, FORECAST["pushing"]["1view_pred"])], seed=0)
+    return lines(
+        [Group("1view_pred", "1 view, predicted boxes", rows, FORECAST["pushing"]["1view_pred"])],
+        seed=0,
+    )
 
 
 MARKDOWN = """\
@@ -103,15 +111,21 @@ def test_forecast_table_is_the_golden_one(found: list[Line], tmp_path: Path) -> 
 
 
 def test_latex_escapes_what_tex_would_read(found: list[Line]) -> None:
-    text = latex(forecast_table("t", "50% of {x}_1 & y", "setting", found, ["a < b", "`code` and **bold**"]))
+    text = latex(
+        forecast_table("t", "50% of {x}_1 & y", "setting", found, ["a < b", "`code` and **bold**"])
+    )
     assert r"50\% of \{x\}\_1 \& y" in text and "a $<$ b" in text and "code and bold" in text
 
 
 def test_ratio_is_paired_and_its_interval_holds_it(tmp_path: Path) -> None:
     rows = read_columns([_errors(tmp_path / "errors.csv")], ERRORS)
-    assert ratio(rows, "oes", "graph_xyz", "translation_mm", 5, seed=0) == pytest.approx((0.5, 0.5, 0.5))
+    assert ratio(rows, "oes", "graph_xyz", "translation_mm", 5, seed=0) == pytest.approx(
+        (0.5, 0.5, 0.5)
+    )
     rng = np.random.default_rng(0)
-    noisy = rows | {"translation_mm": rows["translation_mm"] * rng.uniform(0.5, 1.5, len(rows["T"]))}
+    noisy = rows | {
+        "translation_mm": rows["translation_mm"] * rng.uniform(0.5, 1.5, len(rows["T"]))
+    }
     middle, low, high = ratio(noisy, "oes", "graph_xyz", "translation_mm", 5, seed=0) or (0, 0, 0)
     assert low < middle < high
     assert ratio(rows, "oes", "planet", "translation_mm", 5, seed=0) is None
@@ -120,21 +134,36 @@ def test_ratio_is_paired_and_its_interval_holds_it(tmp_path: Path) -> None:
 def test_metrics_have_the_agreed_shape(found: list[Line], tmp_path: Path) -> None:
     tree = forecast_tree(found)
     model = tree["1view_pred"]["oes"]
-    assert model["translation_mm"] == {"1": 7.5, "3": 22.5, "5": 37.5} and model["rotation_deg"]["5"] == 2.5
-    assert model["n"] == 6 and model["moved"]["n"] == 3 and model["moved"]["translation_mm"]["5"] == 25.0
+    assert (
+        model["translation_mm"] == {"1": 7.5, "3": 22.5, "5": 37.5}
+        and model["rotation_deg"]["5"] == 2.5
+    )
+    assert (
+        model["n"] == 6
+        and model["moved"]["n"] == 3
+        and model["moved"]["translation_mm"]["5"] == 25.0
+    )
     assert model["interval_95"]["rotation_deg"]["5"] == [2.5, 2.5]
-    assert model["median"]["surface_mm"] == {"1": 2.0, "3": 6.0, "5": 10.0} and model["surface_mm"]["5"] == 30.0
+    assert (
+        model["median"]["surface_mm"] == {"1": 2.0, "3": 6.0, "5": 10.0}
+        and model["surface_mm"]["5"] == 30.0
+    )
     assert model["diverged"] == model["moved"]["diverged"] == 0.0
     ratios = ratio_tree({("1view_pred", "translation_mm", 5): (0.5, 0.4, 0.6)})
     assert ratios["1view_pred"]["translation_mm"]["5"] == {"ratio": 0.5, "interval_95": [0.4, 0.6]}
-    write_json({"pushing": tree, "rest": [float("nan"), float("inf"), 0.123456, 3, "x"]}, tmp_path / "metrics.json")
+    write_json(
+        {"pushing": tree, "rest": [float("nan"), float("inf"), 0.123456, 3, "x"]},
+        tmp_path / "metrics.json",
+    )
     read = json.loads((tmp_path / "metrics.json").read_text())
     assert read["rest"] == [None, None, 0.123456, 3, "x"]
     assert read["pushing"]["1view_pred"]["oes"]["moved"] == tree["1view_pred"]["oes"]["moved"]
 
 
 def _trials(path: Path) -> Path:
-    """oes succeeds in 9 of 10 with both planners, graph_xyz in 4 of the same 10; one graph_xyz trial did not run."""
+    """oes succeeds in 9 of 10 with both planners, graph_xyz in 4 of the same 10; one graph_xyz
+    trial did not run.
+    """
     rows = [
         {
             "scenario": "targets",
@@ -148,13 +177,21 @@ def _trials(path: Path) -> Path:
             "all_success": i < wins,
             "touched": planner == "cem" and i == 9,
             "initial_mm": 150.0,
-            "mean_final_mm": "nan" if (model, i) == ("graph_xyz", 9) else 20.0 if i < wins else 80.0,
+            "mean_final_mm": "nan"
+            if (model, i) == ("graph_xyz", 9)
+            else 20.0
+            if i < wins
+            else 80.0,
             "believed_mm": 20.0,
             "steps_used": 5,
             "failure": "no room" if (model, i) == ("graph_xyz", 9) else "",
             "video": "",
         }
-        for model, planner, wins in (("oes", "cem", 9), ("oes", "shooting", 9), ("graph_xyz", "shooting", 4))
+        for model, planner, wins in (
+            ("oes", "cem", 9),
+            ("oes", "shooting", 9),
+            ("graph_xyz", "shooting", 4),
+        )
         for i in range(10)
     ]
     write_csv(path, rows, list(TRIALS))

@@ -1,4 +1,6 @@
-"""Errors of forecasts that are known: perfect ones, none at all, and ones about a point beside the true centre."""
+"""Errors of forecasts that are known: perfect ones, none at all, and ones about a point beside the
+true centre.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,21 +11,28 @@ import torch
 import trimesh
 
 from oes.config import load
-from oes.dynamics.bounds import Simulator, Static
+from oes.dynamics.reference_models import Simulator, Static
 from oes.episode import Episode, Floats
+from oes.evaluation.evaluate_forecasts import split_rows
+from oes.evaluation.forecasters import (
+    ModelForecaster,
+    PerceivedScene,
+    RolloutsConfig,
+    SimulatorForecaster,
+    to_gt_objects,
+    true_forecast,
+)
 from oes.objects import Objects
-from oes.percept.draws import Draws
-from oes.percept.store import Draw, ObjectStore, pack, read_objects, write_objects
-from oes.rollout import Imagined, Replayed, Rollouts, Scene, carried, truth_of
-from oes.score import split_rows
-from oes.sim.simulate import TASKS, Episodes, simulate
+from oes.perception.objects_file import ObjectStore, Observation, pack, read_objects, write_objects
+from oes.perception.observations import ObjectsConfig
+from oes.sim.simulate import TASKS, EpisodesConfig, simulate
 from tests.architecture import PROFILES
 from tests.blocks import make_catalogue
 from tests.factories import make_episode
 from tests.test_dynamics_models import make_objects
 
 ROOT = Path(__file__).parents[1]
-CFG = load(ROOT / "params.yaml", "rollouts", Rollouts)
+CFG = load(ROOT / "params.yaml", "rollouts", RolloutsConfig)
 SURFACES = {f"mesh_{i}": trimesh.creation.icosphere(2, 0.04).vertices for i in range(2)}
 
 
@@ -38,30 +47,46 @@ def truth_for(num: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.zeros(num, 6, 32), torch.zeros(num, 3)
 
 
-def make_scene(episode: Episode, truth: list[int], beside_m: float = 0.0) -> Scene:
+def make_scene(episode: Episode, truth: list[int], beside_m: float = 0.0) -> PerceivedScene:
     center = (
-        np.array([episode.steps[0].center_N3[i] if i >= 0 else np.zeros(3) for i in truth]).reshape(-1, 3) + beside_m
+        np.array([episode.steps[0].center_N3[i] if i >= 0 else np.zeros(3) for i in truth]).reshape(
+            -1, 3
+        )
+        + beside_m
     )
     objects = Objects(**{k: v[0] for k, v in vars(make_objects(scenes=1, num=len(truth))).items()})
     objects.center_N3.copy_(torch.from_numpy(center))
-    return Scene(0, 1, objects, truth)
+    return PerceivedScene(0, 1, objects, truth)
 
 
-def motion_of(episode: Episode, scene: Scene) -> tuple[Floats, Floats]:
-    """What truly happened to the perceived points, in the order of perception; rest for a false positive."""
+def motion_of(episode: Episode, scene: PerceivedScene) -> tuple[Floats, Floats]:
+    """What truly happened to the perceived points, in the order of perception; rest for a false
+    positive.
+    """
     center_N3 = scene.objects.center_N3.double().numpy()
-    found = truth_of(episode, center_N3[[scene.truth.index(i) for i in range(len(episode.bodies))]])
-    translation, rotation = np.zeros((5, len(scene.truth), 3)), np.tile(np.eye(3), (5, len(scene.truth), 1, 1))
+    found = true_forecast(
+        episode, center_N3[[scene.truth.index(i) for i in range(len(episode.bodies))]]
+    )
+    translation, rotation = (
+        np.zeros((5, len(scene.truth), 3)),
+        np.tile(np.eye(3), (5, len(scene.truth), 1, 1)),
+    )
     for n, i in enumerate(scene.truth):
         if i >= 0:
-            translation[:, n], rotation[:, n] = found.translation_TN3[:, i], found.rotation_TN33[:, i]
+            translation[:, n], rotation[:, n] = (
+                found.translation_TN3[:, i],
+                found.rotation_TN33[:, i],
+            )
     return translation, rotation
 
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("task", TASKS)
 def test_objects_are_seen_under_every_setting_that_is_scored(profile: str, task: str) -> None:
-    cfg, draws = load(ROOT / profile, "rollouts", Rollouts), load(ROOT / profile, "objects", Draws)
+    cfg, draws = (
+        load(ROOT / profile, "rollouts", RolloutsConfig),
+        load(ROOT / profile, "objects", ObjectsConfig),
+    )
     for split, scored in cfg.settings.items():
         assert scored and set(scored) <= set(draws.settings(task, split)), split
 
@@ -69,8 +94,8 @@ def test_objects_are_seen_under_every_setting_that_is_scored(profile: str, task:
 def test_the_true_motion_of_a_point_beside_the_centre_is_no_error() -> None:
     episode = make_episode(num_steps=6)
     scene = make_scene(episode, [1, -1, 0], beside_m=0.02)
-    found = carried(scene, episode, *motion_of(episode, scene))
-    true = truth_of(episode, episode.steps[0].center_N3)
+    found = to_gt_objects(scene, episode, *motion_of(episode, scene))
+    true = true_forecast(episode, episode.steps[0].center_N3)
     np.testing.assert_allclose(found.translation_TN3, true.translation_TN3, atol=1e-6)
     np.testing.assert_allclose(found.rotation_TN33, true.rotation_TN33)
 
@@ -78,7 +103,7 @@ def test_the_true_motion_of_a_point_beside_the_centre_is_no_error() -> None:
 def test_a_missed_object_is_forecast_to_stay() -> None:
     episode = make_episode(num_steps=6)
     scene = make_scene(episode, [1])
-    found = carried(scene, episode, np.ones((5, 1, 3)), np.tile(np.eye(3), (5, 1, 1, 1)))
+    found = to_gt_objects(scene, episode, np.ones((5, 1, 3)), np.tile(np.eye(3), (5, 1, 1, 1)))
     assert found.detected_N.tolist() == [False, True]
     assert not found.translation_TN3[:, 0].any()
     np.testing.assert_allclose(found.translation_TN3[:, 1], 1)
@@ -88,9 +113,16 @@ def test_a_missed_object_is_forecast_to_stay() -> None:
 def store(tmp_path: Path) -> ObjectStore:
     episode = make_episode(num_steps=6)
     scenes = [make_scene(episode, truth) for truth in ([0, 1], [1, -1], [])]
-    draws = [Draw(0, "1view_gt", (3,), scenes[0].objects, np.array([0, 1]), truth_for(2))]
+    draws = [Observation(0, "1view_gt", (3,), scenes[0].objects, np.array([0, 1]), truth_for(2))]
     draws += [
-        Draw(0, "1view_pred", (3,), s.objects, np.array(s.truth, dtype=np.int64), truth_for(len(s.truth)))
+        Observation(
+            0,
+            "1view_pred",
+            (3,),
+            s.objects,
+            np.array(s.truth, dtype=np.int64),
+            truth_for(len(s.truth)),
+        )
         for s in scenes[1:]
     ]
     settings = ["1view_gt", "1view_pred"]
@@ -98,13 +130,23 @@ def store(tmp_path: Path) -> ObjectStore:
     return read_objects(tmp_path / "objects.safetensors")
 
 
-def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(store: ObjectStore) -> None:
+def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(
+    store: ObjectStore,
+) -> None:
     episode = make_episode(num_steps=6)
     rows = list(
-        split_rows(Imagined(Static()), store, {0: episode}, SURFACES, Apart(), ("pushing", "static", "test1"), CFG)
+        split_rows(
+            ModelForecaster(Static()),
+            store,
+            {0: episode},
+            SURFACES,
+            Apart(),
+            ("pushing", "static", "test1"),
+            CFG,
+        )
     )
     assert len(rows) == 3 * 2 * 5
-    true = truth_of(episode, episode.steps[0].center_N3)
+    true = true_forecast(episode, episode.steps[0].center_N3)
     for row in rows:
         expected = 1e3 * np.linalg.norm(true.translation_TN3[row.T - 1, row.object_i])
         assert row.translation_mm == pytest.approx(expected, abs=1e-3)
@@ -116,21 +158,40 @@ def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(sto
 
 
 def test_episodes_that_are_missing_are_skipped(store: ObjectStore) -> None:
-    assert list(split_rows(Imagined(Static()), store, {}, SURFACES, Apart(), ("pushing", "static", "test1"), CFG)) == []
+    assert (
+        list(
+            split_rows(
+                ModelForecaster(Static()),
+                store,
+                {},
+                SURFACES,
+                Apart(),
+                ("pushing", "static", "test1"),
+                CFG,
+            )
+        )
+        == []
+    )
 
 
-def test_the_simulator_foresees_the_truth_when_mass_and_friction_are_the_means(tmp_path: Path) -> None:
+def test_the_simulator_foresees_the_truth_when_mass_and_friction_are_the_means(
+    tmp_path: Path,
+) -> None:
     catalogue = make_catalogue(tmp_path)
-    capture = load(Path(__file__).parents[1] / "params.yaml", "episodes", Episodes)
+    capture = load(Path(__file__).parents[1] / "params.yaml", "episodes", EpisodesConfig)
     episode = simulate(catalogue, capture, "pushing", "test1", 0)
     objects = make_scene(episode, [0]).objects
     simulator = Simulator()
     simulator.measure([episode])
-    forecasts = Replayed(simulator, catalogue, replace(CFG, num_workers=1))
-    found, again = forecasts([Scene(0, 1, objects, [0]), Scene(0, 3, objects, [0])], {0: episode})
-    true = truth_of(episode, episode.steps[0].center_N3)
+    forecasts = SimulatorForecaster(simulator, catalogue, replace(CFG, num_workers=1))
+    found, again = forecasts(
+        [PerceivedScene(0, 1, objects, [0]), PerceivedScene(0, 3, objects, [0])], {0: episode}
+    )
+    true = true_forecast(episode, episode.steps[0].center_N3)
     assert found is again and np.linalg.norm(true.translation_TN3[-1, 0]) > 0.02
     np.testing.assert_allclose(found.translation_TN3, true.translation_TN3, atol=1e-4)
     simulator.friction.mul_(3)
-    (other,) = Replayed(simulator, catalogue, replace(CFG, num_workers=1))([Scene(0, 1, objects, [0])], {0: episode})
+    (other,) = SimulatorForecaster(simulator, catalogue, replace(CFG, num_workers=1))(
+        [PerceivedScene(0, 1, objects, [0])], {0: episode}
+    )
     assert np.abs(other.translation_TN3 - true.translation_TN3).max() > 1e-4

@@ -1,4 +1,6 @@
-"""A stage's entry, its resumable work folder and what its stamp depends on, on toy stages in a scratch repository."""
+"""A stage's entry, its resumable work folder and what its stamp depends on, on toy stages in a
+scratch repository.
+"""
 
 import os
 import signal
@@ -119,7 +121,11 @@ def test_output_appears_and_work_is_gone(repo: Path) -> None:
 def test_killed_stage_goes_on(repo: Path) -> None:
     process = start_and_hold(repo)
     status, text = finish(start())
-    assert (status, "already being made by process" in text, str(process.pid) in text) == (1, True, True)
+    assert (status, "already being made by process" in text, str(process.pid) in text) == (
+        1,
+        True,
+        True,
+    )
     assert end(process, signal.SIGKILL)[0] == -signal.SIGKILL
     assert not (repo / "datasets").exists()
     status, text = finish(start())
@@ -157,7 +163,9 @@ def test_changed_stamp_drops_the_work(repo: Path, what: str) -> None:
         ),
     ],
 )
-def test_expected_errors_are_one_line(repo: Path, word: str, source: str, text: str | None, says: str) -> None:
+def test_expected_errors_are_one_line(
+    repo: Path, word: str, source: str, text: str | None, says: str
+) -> None:
     if text:
         (repo / "params.yaml").write_text(text)
     assert finish(start(word, source)) == (1, says)
@@ -175,7 +183,9 @@ def test_interrupt_is_one_line(repo: Path, name: signal.Signals) -> None:
 
 
 def test_missing_flag_is_named(repo: Path) -> None:
-    result = subprocess.run([sys.executable, "-m", "stages.count"], capture_output=True, text=True, check=False)
+    result = subprocess.run(
+        [sys.executable, "-m", "stages.count"], capture_output=True, text=True, check=False
+    )
     assert result.returncode == 2
     assert "--word, --source, --out" in result.stderr
 
@@ -194,9 +204,14 @@ def test_work_elsewhere_lies_beside_the_output(tmp_path: Path) -> None:
         pass
 
 
-def test_neighbour_instances_are_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_neighbour_instances_are_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    with work_dir(Path("datasets/episodes/one"), (Small(1),)) as one, work_dir(Path("datasets/episodes"), (Small(2),)):
+    with (
+        work_dir(Path("datasets/episodes/one"), (Small(1),)) as one,
+        work_dir(Path("datasets/episodes"), (Small(2),)),
+    ):
         assert one.is_dir()
 
 
@@ -229,5 +244,7 @@ def test_reached_follows_lazy_and_package_imports(tmp_path: Path) -> None:
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-    names = {str(path.relative_to(tmp_path)) for path in reached([tmp_path / "stages/s.py"], tmp_path)}
+    names = {
+        str(path.relative_to(tmp_path)) for path in reached([tmp_path / "stages/s.py"], tmp_path)
+    }
     assert names == set(files) - {"oes/b/z.py"}

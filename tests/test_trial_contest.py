@@ -1,4 +1,6 @@
-"""Many trials through the real perceiver and models (untrained): rows, films, failures and the same for every run."""
+"""Many trials through the real perceiver and models (untrained): rows, films, failures and the same
+for every run.
+"""
 
 import csv
 from dataclasses import replace
@@ -8,29 +10,29 @@ import numpy as np
 import pytest
 
 from oes.config import load
+from oes.csv_io import write_csv
 from oes.report.rows import TRIALS, read_columns
-from oes.rows import write_csv
 from oes.sim.pushing import PushWorld
-from oes.trial.contest import Inputs, ScenarioError, Trials, run_trials
-from oes.trial.outcomes import ROWS, Trial, trial_rows, write_videos
+from oes.trials.results import TRIAL_COLUMNS, Trial, trial_rows, write_videos
+from oes.trials.runner import ScenarioError, TrialInputs, TrialsConfig, run_trials
 from tests.blocks import SMOKE, make_catalogue, make_weights
 
 
 @pytest.fixture(scope="module")
-def cfg() -> Trials:
-    trials = load(SMOKE, "trials", Trials)
+def cfg() -> TrialsConfig:
+    trials = load(SMOKE, "trials", TrialsConfig)
     targets = replace(trials.scenarios["targets"], max_steps=2)
     film = replace(trials.film, zoom=2, look_s=0.2, push_s=0.2, end_s=0.2)
     return replace(trials, count=2, num_workers=1, scenarios={"targets": targets}, film=film)
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> TrialInputs:
     folder = tmp_path_factory.mktemp("inputs")
     make_catalogue(folder / "meshes")
     make_weights(folder)
     perception = folder / "perception" / "perception.safetensors"
-    return Inputs(folder / "meshes", perception, folder / "dynamics" / "pushing-graph_xyz")
+    return TrialInputs(folder / "meshes", perception, folder / "dynamics" / "pushing-graph_xyz")
 
 
 @pytest.fixture(scope="module")
@@ -39,35 +41,52 @@ def progress(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(cfg: Trials, inputs: Inputs, progress: Path) -> list[Trial]:
+def found(cfg: TrialsConfig, inputs: TrialInputs, progress: Path) -> list[Trial]:
     return run_trials(cfg, "targets", inputs, progress)
 
 
-def test_rows_and_films_of_a_run(cfg: Trials, found: list[Trial], tmp_path: Path) -> None:
+def test_rows_and_films_of_a_run(cfg: TrialsConfig, found: list[Trial], tmp_path: Path) -> None:
     targets = cfg.scenarios["targets"]
     videos = write_videos(found, targets, cfg.film, cfg.num_videos, tmp_path)
-    write_csv(tmp_path / "trials.csv", trial_rows(found, "targets", "graph_xyz", targets, videos), ROWS)
+    write_csv(
+        tmp_path / "trials.csv",
+        trial_rows(found, "targets", "graph_xyz", targets, videos),
+        TRIAL_COLUMNS,
+    )
     rows = read_columns([tmp_path / "trials.csv"], TRIALS)
-    assert rows["trial_i"].tolist() == [0, 1] * 2 and rows["planner"].tolist() == ["shooting"] * 2 + ["cem"] * 2
+    assert (
+        rows["trial_i"].tolist() == [0, 1] * 2
+        and rows["planner"].tolist() == ["shooting"] * 2 + ["cem"] * 2
+    )
     assert set(rows["scenario"]) == {"targets"}
     assert (rows["initial_mm"] > 40).all() and np.isfinite(rows["mean_final_mm"]).all()
     assert (rows["failure"] == "").all() and (rows["steps_used"] <= 2).all()
     assert sum(name != "" for name in rows["video"]) >= 1
     for name in filter(None, rows["video"]):
-        assert (tmp_path / name).stat().st_size > 1000 and (tmp_path / name).with_suffix(".gif").exists()
+        assert (tmp_path / name).stat().st_size > 1000 and (tmp_path / name).with_suffix(
+            ".gif"
+        ).exists()
 
 
 def test_finished_trials_are_not_run_again(
-    cfg: Trials, inputs: Inputs, progress: Path, found: list[Trial], monkeypatch: pytest.MonkeyPatch
+    cfg: TrialsConfig,
+    inputs: TrialInputs,
+    progress: Path,
+    found: list[Trial],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(PushWorld, "push", lambda *_: pytest.fail("a finished trial runs again"))
     again = run_trials(cfg, "targets", inputs, progress)
     for old, new in zip(found, again, strict=True):
         assert (old.planner, old.trial_i, old.failure) == (new.planner, new.trial_i, new.failure)
-        assert old.outcome and new.outcome and np.array_equal(old.outcome.final_G, new.outcome.final_G)
+        assert (
+            old.outcome and new.outcome and np.array_equal(old.outcome.final_G, new.outcome.final_G)
+        )
 
 
-def test_the_same_trials_again(cfg: Trials, inputs: Inputs, found: list[Trial], tmp_path: Path) -> None:
+def test_the_same_trials_again(
+    cfg: TrialsConfig, inputs: TrialInputs, found: list[Trial], tmp_path: Path
+) -> None:
     (first, *_), (again, *_) = found, run_trials(replace(cfg, count=1), "targets", inputs, tmp_path)
     assert first.task and again.task and first.outcome and again.outcome
     assert np.array_equal(first.task.goal_G3, again.task.goal_G3)
@@ -77,7 +96,7 @@ def test_the_same_trials_again(cfg: Trials, inputs: Inputs, found: list[Trial], 
 
 @pytest.mark.parametrize("model", ["visual_foresight", "planet"])
 def test_models_of_pictures_push_too(
-    cfg: Trials, inputs: Inputs, found: list[Trial], model: str, tmp_path: Path
+    cfg: TrialsConfig, inputs: TrialInputs, found: list[Trial], model: str, tmp_path: Path
 ) -> None:
     theirs = replace(inputs, dynamics=inputs.dynamics.with_name(f"pushing-{model}"))
     trials = run_trials(replace(cfg, count=1), "targets", theirs, tmp_path)
@@ -89,17 +108,27 @@ def test_models_of_pictures_push_too(
         assert trial.outcome.moments[0].belief.overhead_HW3 is not None
 
 
-def test_a_trial_that_cannot_begin_is_a_row_with_its_reason(cfg: Trials, inputs: Inputs, tmp_path: Path) -> None:
+def test_a_trial_that_cannot_begin_is_a_row_with_its_reason(
+    cfg: TrialsConfig, inputs: TrialInputs, tmp_path: Path
+) -> None:
     targets = replace(cfg.scenarios["targets"], goal_m=(5.0, 6.0), max_attempts=3)
     impossible = replace(cfg, count=1, scenarios={"targets": targets})
     trials = run_trials(impossible, "targets", inputs, tmp_path / "progress")
     assert write_videos(trials, targets, cfg.film, cfg.num_videos, tmp_path) == {}
-    write_csv(tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), ROWS)
+    write_csv(
+        tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), TRIAL_COLUMNS
+    )
     with (tmp_path / "trials.csv").open() as file:
         (row, _) = csv.DictReader(file)
-    assert row["success"] == "False" and row["mean_final_mm"] == "nan" and "no task in 3 attempts" in row["failure"]
+    assert (
+        row["success"] == "False"
+        and row["mean_final_mm"] == "nan"
+        and "no task in 3 attempts" in row["failure"]
+    )
 
 
-def test_unknown_scenario_names_the_known(cfg: Trials, inputs: Inputs, tmp_path: Path) -> None:
+def test_unknown_scenario_names_the_known(
+    cfg: TrialsConfig, inputs: TrialInputs, tmp_path: Path
+) -> None:
     with pytest.raises(ScenarioError, match=r"unknown scenario 'fly'.*targets"):
         run_trials(cfg, "fly", inputs, tmp_path)

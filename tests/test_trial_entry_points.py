@@ -1,4 +1,6 @@
-"""``make evaluate`` and ``make demo`` as users run them, with untrained weights: what they write, what they refuse."""
+"""``make evaluate`` and ``make demo`` as users run them, with untrained weights: what they write,
+what they refuse.
+"""
 
 import csv
 from pathlib import Path
@@ -8,17 +10,19 @@ import pytest
 import trimesh
 import yaml
 
-from oes import demo, evaluate
+from oes.apps import demo, evaluate
+from oes.apps.demo import DemoConfig
+from oes.apps.evaluate import EvaluateConfig, EvaluateError, find_weights
 from oes.config import load
-from oes.demo import Demo
-from oes.evaluate import Evaluate, EvaluateError, find_weights
 from oes.meshes.catalogue import CatalogueError
 from tests.blocks import SMOKE, make_catalogue, make_weights
 
 
 @pytest.fixture
 def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory with params.yaml (smoke, in this process) and weights as git keeps them."""
+    """A working directory with params.yaml (smoke, in this process) and weights as git keeps
+    them.
+    """
     make_weights(tmp_path / "reports" / "models")
     sections = yaml.safe_load(SMOKE.read_text())
     for name in ("episodes", "rollouts", "trials"):
@@ -30,26 +34,36 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_evaluate_makes_table_1_of_a_folder_of_meshes(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluate_makes_table_1_of_a_folder_of_meshes(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (study / "mine").mkdir()
     trimesh.creation.box((0.08, 0.06, 0.05)).export(study / "mine" / "brick.stl")
     trimesh.creation.cylinder(0.04, 0.05).export(study / "mine" / "puck.obj")
     (study / "mine" / "broken.stl").write_text("not a mesh")
-    evaluate.main(load(study / "params.yaml", "evaluate", Evaluate), study / "mine")
+    evaluate.main(load(study / "params.yaml", "evaluate", EvaluateConfig), study / "mine")
     out = study / "build" / "evaluate-mine"
     printed = capsys.readouterr().out
     assert printed == (out / "table1.md").read_text()
     assert "Profile meshes of mine; episodes: 2 test" in printed
-    for label in ("3 views, true boxes", "1 view, true boxes", "1 view, predicted boxes", "graph-XYZ", "3D-OES"):
+    for label in (
+        "3 views, true boxes",
+        "1 view, true boxes",
+        "1 view, predicted boxes",
+        "graph-XYZ",
+        "3D-OES",
+    ):
         assert label in printed
     with (out / "table1.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert {row["model"] for row in rows} == {"oes", "graph_xyz"} and {row["n"] for row in rows} <= {"1", "2", "3", "4"}
+    assert {row["model"] for row in rows} == {"oes", "graph_xyz"} and {
+        row["n"] for row in rows
+    } <= {"1", "2", "3", "4"}
     assert not list((study / ".work").rglob("*.mcap")), "the episodes are not left behind"
 
 
 def test_evaluate_refuses_what_it_cannot_use(study: Path) -> None:
-    cfg = load(study / "params.yaml", "evaluate", Evaluate)
+    cfg = load(study / "params.yaml", "evaluate", EvaluateConfig)
     (study / "junk").mkdir()
     (study / "junk" / "broken.stl").write_text("not a mesh")
     with pytest.raises(CatalogueError, match="none of 1 meshes is usable"):
@@ -64,7 +78,7 @@ def test_evaluate_refuses_what_it_cannot_use(study: Path) -> None:
 
 def test_demo_films_imagined_beside_real(study: Path) -> None:
     make_catalogue(study / "datasets" / "meshes")
-    demo.main(load(study / "params.yaml", "demo", Demo))
+    demo.main(load(study / "params.yaml", "demo", DemoConfig))
     with av.open(str(study / "demo.mp4")) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     height, width, _ = frames[0].shape

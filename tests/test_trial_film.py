@@ -8,33 +8,39 @@ import pytest
 from PIL import Image
 
 from oes.episode import Camera
-from oes.film import GOAL, SEEN, Picture, write_gif, write_video
 from oes.geom.camera import intrinsics, look_at
+from oes.viz.overlay import GOAL, SEEN, CameraOverlay, write_gif, write_video
 
-CAMERA = Camera("cam", intrinsics(42.0, 64, 64), look_at(np.array([0.9, 0.0, 0.5]), np.zeros(3)), 64, 64)
+CAMERA = Camera(
+    "cam", intrinsics(42.0, 64, 64), look_at(np.array([0.9, 0.0, 0.5]), np.zeros(3)), 64, 64
+)
 BLACK = np.zeros((64, 64, 3), np.uint8)
 
 
-def _drawn(picture: Picture) -> tuple[float, float]:
+def _drawn(picture: CameraOverlay) -> tuple[float, float]:
     """Centre (u, v) of what was drawn, in pixels of the photograph."""
     v, u = np.nonzero(picture.pixels.any(axis=2))
     return u.mean() / picture.zoom, v.mean() / picture.zoom
 
 
 def test_shapes_are_drawn_where_they_project() -> None:
-    for move, place in (((0, 0, 0), (32, 32)), ((0, 0.2, 0), (48.2, 32)), ((0, 0, 0.2), (32, 16.3))):
-        picture = Picture(BLACK, CAMERA, 4)
+    for move, place in (
+        ((0, 0, 0), (32, 32)),
+        ((0, 0.2, 0), (48.2, 32)),
+        ((0, 0, 0.2), (32, 16.3)),
+    ):
+        picture = CameraOverlay(BLACK, CAMERA, 4)
         picture.box(np.array(move, float), np.full(3, 0.05), SEEN)
         assert _drawn(picture) == pytest.approx(place, abs=1.5)
         assert tuple(picture.pixels.reshape(-1, 3).max(axis=0)) == SEEN
-    ring = Picture(BLACK, CAMERA, 4)
+    ring = CameraOverlay(BLACK, CAMERA, 4)
     ring.ring(np.zeros(3), 0.1, GOAL)
     assert _drawn(ring) == pytest.approx((32, 32), abs=1.5)
     assert not ring.pixels[128 - 4 : 128 + 4, 128 - 4 : 128 + 4].any(), "a ring is hollow"
 
 
 def test_what_is_behind_the_camera_is_not_drawn() -> None:
-    picture = Picture(BLACK, CAMERA, 2)
+    picture = CameraOverlay(BLACK, CAMERA, 2)
     picture.box(np.array([2.0, 0.0, 0.8]), np.full(3, 0.05), SEEN)
     assert not picture.pixels.any()
 

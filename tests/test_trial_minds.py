@@ -4,21 +4,23 @@ import numpy as np
 import pytest
 import torch
 
-from oes.control.plan import Proposals
+from oes.baselines.overhead_camera import OverheadView
+from oes.baselines.planet import PlaNet, PlanetConfig
+from oes.baselines.visual_foresight import ForesightConfig, VisualForesight
+from oes.mpc.search import Candidates
 from oes.objects import Objects
-from oes.trial.minds import Belief, ForesightMind, PlanetMind
-from oes.video.foresight import ForesightNet, VisualForesight
-from oes.video.overhead import OverheadView
-from oes.video.planet import PlaNet, PlanetNet
+from oes.trials.world_models import ForesightWorldModel, PlanetWorldModel, StateEstimate
 
 VIEW = OverheadView(side_px=64, height_m=1.5, half_m=0.32)
 CENTERS = np.array([[0.1, 0.05, 0.03], [-0.12, 0.0, 0.02]])
 GOALS = CENTERS + np.array([[0.1, 0.0, 0.0], [0.0, -0.05, 0.0]])
 TIPS = torch.tensor([[0.0, 0.05, 0.02], [0.0, 0.0, 0.02], [0.2, 0.2, 0.02]])
-PROPOSALS = Proposals(TIPS, torch.full((3, 4, 3), 0.03) * torch.tensor([1.0, 1, 0]), torch.zeros(3, 0))
+PROPOSALS = Candidates(
+    TIPS, torch.full((3, 4, 3), 0.03) * torch.tensor([1.0, 1, 0]), torch.zeros(3, 0)
+)
 
 
-def _belief() -> Belief:
+def _belief() -> StateEstimate:
     count = len(CENTERS)
     center, size = torch.from_numpy(CENTERS).float(), torch.full((count, 3), 0.07)
     objects = Objects(
@@ -34,37 +36,43 @@ def _belief() -> Belief:
         mass_N3=torch.zeros(count, 3),
     )
     picture = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
-    return Belief(objects, CENTERS, size.numpy(), np.ones(count, dtype=bool), picture)
+    return StateEstimate(objects, CENTERS, size.numpy(), np.ones(count, dtype=bool), picture)
 
 
 def test_visual_foresight_that_moves_nothing_leaves_objects_where_they_are() -> None:
-    net = VisualForesight(ForesightNet(channels=(8, 8), flows=2)).eval()
+    net = VisualForesight(ForesightConfig(channels=(8, 8), flows=2)).eval()
     torch.nn.init.zeros_(net.out.weight)
     torch.nn.init.zeros_(net.out.bias)
-    imagined = ForesightMind(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
+    imagined = ForesightWorldModel(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
     assert imagined.tip_SI3.shape == (3, 5, 3)
     assert torch.allclose(imagined.tip_SI3[:, -1, :2], TIPS[:, :2] + 0.12)
     assert np.abs(imagined.position_SHN3.numpy() - CENTERS).max() < 1e-3
     assert imagined.cost_SH is not None and imagined.cost_SH.shape == (3, 4)
-    assert imagined.cost_SH.flatten().tolist() == pytest.approx([0.075] * 12, rel=0.06), "expected distance, mean"
+    assert imagined.cost_SH.flatten().tolist() == pytest.approx([0.075] * 12, rel=0.06), (
+        "expected distance, mean"
+    )
 
 
 def test_visual_foresight_that_carries_pixels_along_carries_objects() -> None:
     """Everything moves by one pixel to the right in each step: 1 cm."""
-    net = VisualForesight(ForesightNet(channels=(8, 8), flows=1)).eval()
+    net = VisualForesight(ForesightConfig(channels=(8, 8), flows=1)).eval()
     torch.nn.init.zeros_(net.out.weight)
     net.out.bias.data[:] = torch.tensor([float(np.arctanh(-2 / 64 / 0.3)), 0.0, 20.0, 0.0, 0.0])
-    imagined = ForesightMind(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
+    imagined = ForesightWorldModel(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
     moved = imagined.position_SHN3[:, -1].numpy() - CENTERS
     assert moved[..., 0] == pytest.approx(0.04, abs=2e-3) and np.abs(moved[..., 1]).max() < 1e-3
 
 
 def test_planet_costs_what_it_is_not_rewarded_and_moves_nothing() -> None:
     torch.manual_seed(0)
-    net = PlaNet(PlanetNet(base=4, recurrent=16, stochastic=4, hidden=16, goals=2)).eval()
-    mind = PlanetMind(net, VIEW)
+    net = PlaNet(PlanetConfig(base=4, recurrent=16, stochastic=4, hidden=16, goals=2)).eval()
+    mind = PlanetWorldModel(net, VIEW)
     imagined = mind.imagine(_belief(), GOALS, PROPOSALS)
-    assert imagined.cost_SH is not None and imagined.cost_SH.shape == (3, 4) and torch.isfinite(imagined.cost_SH).all()
+    assert (
+        imagined.cost_SH is not None
+        and imagined.cost_SH.shape == (3, 4)
+        and torch.isfinite(imagined.cost_SH).all()
+    )
     assert torch.equal(imagined.position_SHN3[1, 2], torch.from_numpy(CENTERS).float())
     torch.nn.init.zeros_(net.reward[-1].weight)
     net.reward[-1].bias.data[:] = -0.5
@@ -72,12 +80,19 @@ def test_planet_costs_what_it_is_not_rewarded_and_moves_nothing() -> None:
 
 
 def test_planet_hears_of_goals_from_left_to_right() -> None:
-    """The second object stands to the left of the first: swapping both objects and goals changes nothing."""
+    """The second object stands to the left of the first: swapping both objects and goals changes
+    nothing.
+    """
     torch.manual_seed(0)
-    net = PlaNet(PlanetNet(base=4, recurrent=16, stochastic=4, hidden=16, goals=2)).eval()
-    mind, belief = PlanetMind(net, VIEW), _belief()
-    swapped = Belief(belief.objects, CENTERS[::-1].copy(), belief.size_N3, belief.is_seen_N, belief.overhead_HW3)
-    first, again = (mind.imagine(b, g, PROPOSALS).cost_SH for b, g in ((belief, GOALS), (swapped, GOALS[::-1].copy())))
+    net = PlaNet(PlanetConfig(base=4, recurrent=16, stochastic=4, hidden=16, goals=2)).eval()
+    mind, belief = PlanetWorldModel(net, VIEW), _belief()
+    swapped = StateEstimate(
+        belief.objects, CENTERS[::-1].copy(), belief.size_N3, belief.is_seen_N, belief.overhead_HW3
+    )
+    first, again = (
+        mind.imagine(b, g, PROPOSALS).cost_SH
+        for b, g in ((belief, GOALS), (swapped, GOALS[::-1].copy()))
+    )
     other = mind.imagine(swapped, GOALS, PROPOSALS).cost_SH
     assert first is not None and again is not None and other is not None
     assert torch.equal(first, again) and not torch.allclose(first, other)

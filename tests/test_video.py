@@ -1,4 +1,6 @@
-"""The baselines that forecast pictures: their camera, their data, and that each learns a world of its own."""
+"""The baselines that forecast pictures: their camera, their data, and that each learns a world of
+its own.
+"""
 
 from pathlib import Path
 
@@ -7,30 +9,37 @@ import pytest
 import torch
 from torch import Tensor
 
-from oes.checkpoint import Fit
-from oes.config import load
-from oes.sim.simulate import Episodes, simulate
-from oes.video.check import forecast_rows
-from oes.video.clips import Clips, ClipsError, draw, read_clips, write_clips
-from oes.video.foresight import ForesightNet, Moves, VisualForesight, designate, expected, unroll_pixels
-from oes.video.losses import Latent, draw_goals
-from oes.video.overhead import Overhead, OverheadView
-from oes.video.planet import PlaNet, PlanetNet, distance_to_goals
-from oes.video.shoot import Overheads, make_clips
-from oes.video.train import (
-    Foresight,
-    Planet,
-    Video,
-    VideoError,
-    is_video_model,
-    load_video_model,
-    save_video_model,
-    train,
+from oes.baselines.clips import Clips, ClipsError, read_clips, sample_clips, write_clips
+from oes.baselines.evaluate import forecast_rows
+from oes.baselines.losses import Latent, draw_goals
+from oes.baselines.overhead_camera import Overhead, OverheadView
+from oes.baselines.overhead_render import OverheadConfig, make_clips
+from oes.baselines.planet import PlaNet, PlanetConfig, distance_to_goals
+from oes.baselines.train import (
+    BaselineError,
+    BaselinesConfig,
+    ForesightTraining,
+    PlanetTraining,
+    is_baseline,
+    load_baseline,
+    save_baseline,
+    train_baseline,
 )
+from oes.baselines.visual_foresight import (
+    FlowWarp,
+    ForesightConfig,
+    VisualForesight,
+    expected_pixel,
+    pixel_distribution,
+    unroll_pixels,
+)
+from oes.config import load
+from oes.sim.simulate import EpisodesConfig, simulate
+from oes.training.checkpoint import TrainConfig
 from tests.blocks import SMOKE, make_catalogue
 
 VIEW = OverheadView(side_px=64, height_m=1.5, half_m=0.32)
-FIT = Fit(
+FIT = TrainConfig(
     steps=60,
     batch=8,
     optimizer="adamw",
@@ -44,10 +53,12 @@ FIT = Fit(
     log_every_steps=20,
     seed=0,
 )
-VIDEO = Video(
-    visual_foresight=Foresight(net=ForesightNet(channels=(8, 16, 16), flows=2), changed=10.0, fit=FIT),
-    planet=Planet(
-        net=PlanetNet(base=4, recurrent=32, stochastic=8, hidden=32, goals=2),
+VIDEO = BaselinesConfig(
+    visual_foresight=ForesightTraining(
+        net=ForesightConfig(channels=(8, 16, 16), flows=2), changed=10.0, fit=FIT
+    ),
+    planet=PlanetTraining(
+        net=PlanetConfig(base=4, recurrent=32, stochastic=8, hidden=32, goals=2),
         latent=Latent(free_nats=1.0, changed=20.0, goal=0.5),
         weights={"image": 1000.0, "reward": 100.0, "kl": 1.0},
         fit=FIT,
@@ -56,14 +67,20 @@ VIDEO = Video(
 
 
 def _squares(count: int, seed: int) -> Clips:
-    """A red square of 10 pixels on grey that each push carries along with the rod, which stands at its middle."""
+    """A red square of 10 pixels on grey that each push carries along with the rod, which stands at
+    its middle.
+    """
     rng = np.random.default_rng(seed)
     start, push = rng.uniform(-0.4, 0.4, (count, 1, 2)), rng.uniform(-0.12, 0.12, (count, 5, 2))
-    place = torch.from_numpy(start + np.concatenate([np.zeros((count, 1, 2)), push.cumsum(1)], 1)).float()
+    place = torch.from_numpy(
+        start + np.concatenate([np.zeros((count, 1, 2)), push.cumsum(1)], 1)
+    ).float()
     frame = torch.full((count, 6, 3, 64, 64), 128, dtype=torch.uint8)
     line = (torch.arange(64) + 0.5) / 32 - 1
     y, x = torch.meshgrid(line, line, indexing="ij")
-    inside = ((x - place[..., 0, None, None]).abs() < 0.16) & ((y - place[..., 1, None, None]).abs() < 0.16)
+    inside = ((x - place[..., 0, None, None]).abs() < 0.16) & (
+        (y - place[..., 1, None, None]).abs() < 0.16
+    )
     frame[:, :, 0][inside] = 250
     frame[:, :, 1:].permute(0, 1, 3, 4, 2)[inside] = 20
     return Clips(frame, place, place[:, :, None], torch.ones(count, 1, dtype=torch.bool))
@@ -79,9 +96,9 @@ def test_the_overhead_camera_places_and_grounds_alike() -> None:
 
 
 def test_clips_of_an_episode_show_objects_where_they_are(tmp_path: Path) -> None:
-    catalogue, cfg = make_catalogue(tmp_path / "meshes"), load(SMOKE, "episodes", Episodes)
+    catalogue, cfg = make_catalogue(tmp_path / "meshes"), load(SMOKE, "episodes", EpisodesConfig)
     episode = simulate(catalogue, cfg, "pushing", "test2", 0)
-    clips = make_clips([episode], catalogue, Overheads(view=VIEW, sim=cfg.sim))
+    clips = make_clips([episode], catalogue, OverheadConfig(view=VIEW, sim=cfg.sim))
     assert clips.frame_BI3HW.shape == (1, len(episode.steps), 3, 64, 64) and clips.valid_BN.all()
     empty = clips.frame_BI3HW.float().amax((0, 1))
     for place in clips.object_BIN2[0, 0]:
@@ -118,7 +135,9 @@ def test_turned_clips_move_places_with_pictures(quarter: int, is_mirrored: bool)
 
 def test_draws_depend_on_their_generator_alone() -> None:
     clips = _squares(5, 0)
-    first, again, other = (draw(clips, 4, np.random.default_rng(seed)) for seed in (0, 0, 1))
+    first, again, other = (
+        sample_clips(clips, 4, np.random.default_rng(seed)) for seed in (0, 0, 1)
+    )
     assert torch.equal(first.frame_BI3HW, again.frame_BI3HW)
     assert not torch.equal(first.frame_BI3HW, other.frame_BI3HW)
     assert first.frame_BI3HW.max() <= 1
@@ -129,24 +148,33 @@ def test_a_known_flow_moves_pixels_and_designated_ones_alike() -> None:
     flow[..., 0] = -4 / 32  # content comes from 4 pixels to the left
     mask = torch.zeros(1, 3, 64, 64)
     mask[:, 0] = 1
-    start = designate(torch.tensor([[[0.1, -0.2]]]), 64, 64)
-    assert expected(start)[0, 0].tolist() == pytest.approx([0.1, -0.2], abs=1e-3) and start.sum() == pytest.approx(1)
-    moved = Moves(flow, mask)(start, start)
-    assert expected(moved)[0, 0].tolist() == pytest.approx([0.1 + 4 / 32, -0.2], abs=1e-3)
+    start = pixel_distribution(torch.tensor([[[0.1, -0.2]]]), 64, 64)
+    assert expected_pixel(start)[0, 0].tolist() == pytest.approx(
+        [0.1, -0.2], abs=1e-3
+    ) and start.sum() == pytest.approx(1)
+    moved = FlowWarp(flow, mask)(start, start)
+    assert expected_pixel(moved)[0, 0].tolist() == pytest.approx([0.1 + 4 / 32, -0.2], abs=1e-3)
 
 
 def test_visual_foresight_learns_to_carry_a_square(tmp_path: Path) -> None:
-    net, _ = train(VIDEO, "visual_foresight", _squares(64, 0), tmp_path, torch.device("cpu"))
+    net, _ = train_baseline(
+        VIDEO, "visual_foresight", _squares(64, 0), tmp_path, torch.device("cpu")
+    )
     assert isinstance(net, VisualForesight)
     rows, picture = forecast_rows(net, _squares(8, 1), VIEW)
     last = [row for row in rows if row["T"] == 3]
-    assert np.mean([row["error_mm"] for row in last]) < 0.6 * np.mean([row["still_mm"] for row in last])
-    assert np.mean([row["psnr_db"] for row in last]) > np.mean([row["still_psnr_db"] for row in last]) + 1
+    assert np.mean([row["error_mm"] for row in last]) < 0.6 * np.mean(
+        [row["still_mm"] for row in last]
+    )
+    assert (
+        np.mean([row["psnr_db"] for row in last])
+        > np.mean([row["still_psnr_db"] for row in last]) + 1
+    )
     assert picture.shape == (4 * 2 * 64, 6 * 64, 3)
 
 
 def test_planet_learns_rewards_of_a_square(tmp_path: Path) -> None:
-    net, log = train(VIDEO, "planet", _squares(64, 0), tmp_path, torch.device("cpu"))
+    net, log = train_baseline(VIDEO, "planet", _squares(64, 0), tmp_path, torch.device("cpu"))
     assert isinstance(net, PlaNet)
     assert log[-1]["reward"] < 0.7 * log[0]["reward"] and log[-1]["image"] < log[0]["image"]
     rows, _ = forecast_rows(net, _squares(4, 1), VIEW)
@@ -156,9 +184,13 @@ def test_planet_learns_rewards_of_a_square(tmp_path: Path) -> None:
 def test_goals_go_with_objects_from_left_to_right() -> None:
     clips = _squares(2, 0).at(torch.arange(2))
     objects = torch.tensor([[[0.3, 0.0], [-0.3, 0.1]]]).expand(2, 6, 2, 2)
-    clips = Clips(clips.frame_BI3HW, clips.tip_BI2, objects, torch.tensor([[True, True], [True, False]]))
+    clips = Clips(
+        clips.frame_BI3HW, clips.tip_BI2, objects, torch.tensor([[True, True], [True, False]])
+    )
     ordered, goals = draw_goals(clips, 2, 0.5)
-    assert ordered[0, 0, :, 0].tolist() == pytest.approx([-0.3, 0.3]) and ordered[1, 0, 0, 0] == pytest.approx(0.3)
+    assert ordered[0, 0, :, 0].tolist() == pytest.approx([-0.3, 0.3]) and ordered[
+        1, 0, 0, 0
+    ] == pytest.approx(0.3)
     assert goals[:, :, 2].tolist() == [[1, 1], [1, 0]]
     goals = torch.tensor([[[-0.3, 0.2, 1.0], [0.3, 0.3, 1.0]], [[0.3, 0.4, 1.0], [0, 0, 0]]])
     assert distance_to_goals(ordered[:, 0], goals).tolist() == pytest.approx([0.2, 0.4])
@@ -167,18 +199,19 @@ def test_goals_go_with_objects_from_left_to_right() -> None:
 def test_models_on_disk(tmp_path: Path) -> None:
     for kind, cfg in ((VisualForesight, VIDEO.visual_foresight.net), (PlaNet, VIDEO.planet.net)):
         net = kind(cfg).eval()  # type: ignore[arg-type]
-        save_video_model(tmp_path, net, VIEW)
-        again, view = load_video_model(tmp_path)
-        assert type(again) is kind and view == VIEW and is_video_model(tmp_path)
+        save_baseline(tmp_path, net, VIEW)
+        again, view = load_baseline(tmp_path)
+        assert type(again) is kind and view == VIEW and is_baseline(tmp_path)
         assert all(
-            torch.equal(a, b) for a, b in zip(net.state_dict().values(), again.state_dict().values(), strict=True)
+            torch.equal(a, b)
+            for a, b in zip(net.state_dict().values(), again.state_dict().values(), strict=True)
         )
     (tmp_path / "model.safetensors").write_bytes(b"junk")
-    assert not is_video_model(tmp_path)
-    with pytest.raises(VideoError, match="not a readable"):
-        load_video_model(tmp_path)
-    with pytest.raises(VideoError, match=r"unknown model 'sora'.*planet"):
-        train(VIDEO, "sora", _squares(2, 0), tmp_path, torch.device("cpu"))
+    assert not is_baseline(tmp_path)
+    with pytest.raises(BaselineError, match="not a readable"):
+        load_baseline(tmp_path)
+    with pytest.raises(BaselineError, match=r"unknown model 'sora'.*planet"):
+        train_baseline(VIDEO, "sora", _squares(2, 0), tmp_path, torch.device("cpu"))
 
 
 def test_unrolled_pixels_stay_a_distribution() -> None:
@@ -188,4 +221,7 @@ def test_unrolled_pixels_stay_a_distribution() -> None:
         net, torch.rand(3, 64, 64), torch.zeros(2, 2), torch.zeros(4, 2), torch.full((4, 3, 2), 0.1)
     )
     assert frames.shape == (4, 3, 3, 64, 64) and maps.shape == (4, 3, 2, 64, 64)
-    assert maps.sum((-2, -1)).flatten().tolist() == pytest.approx([1.0] * 24, abs=1e-4) and maps.min() >= 0
+    assert (
+        maps.sum((-2, -1)).flatten().tolist() == pytest.approx([1.0] * 24, abs=1e-4)
+        and maps.min() >= 0
+    )

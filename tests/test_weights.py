@@ -6,7 +6,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
 
-from oes.weights import write_tensors
+from oes.training.tensor_io import write_tensors
 
 TENSORS = {f"layer.{i}": torch.arange(i + 3, dtype=torch.float32).reshape(1, -1) for i in range(5)}
 
@@ -14,7 +14,9 @@ TENSORS = {f"layer.{i}": torch.arange(i + 3, dtype=torch.float32).reshape(1, -1)
 def test_the_order_of_names_and_metadata_leaves_no_trace(tmp_path: Path) -> None:
     about = {f"key{i}": str(i) for i in range(12)}
     write_tensors(TENSORS, tmp_path / "a.safetensors", about)
-    write_tensors(dict(reversed(TENSORS.items())), tmp_path / "b.safetensors", dict(reversed(about.items())))
+    write_tensors(
+        dict(reversed(TENSORS.items())), tmp_path / "b.safetensors", dict(reversed(about.items()))
+    )
     assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
 
 

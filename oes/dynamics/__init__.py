@@ -1,10 +1,12 @@
-"""Object dynamics: a graph network unrolled through time, what it is compared with, and its training."""
+"""Object dynamics: a graph network unrolled through time, what it is compared with, and its
+training.
+"""
 
 from torch import nn
 
-from oes.dynamics.bounds import Simulator, Static
 from oes.dynamics.contact import Contact
 from oes.dynamics.models import OES, GraphXYZ, GraphXYZImage, GraphXYZImageFixed
+from oes.dynamics.reference_models import Simulator, Static
 
 MODELS: dict[str, type[nn.Module]] = {
     "static": Static,
@@ -16,5 +18,7 @@ MODELS: dict[str, type[nn.Module]] = {
     "graph_xyz_image_fixed": GraphXYZImageFixed,
 }
 
-VARIANTS = dict.fromkeys(("contact_true", "contact_still", "contact_step", "contact_100", "contact_300"), "contact")
+VARIANTS = dict.fromkeys(
+    ("contact_true", "contact_still", "contact_step", "contact_100", "contact_300"), "contact"
+)
 """Models of ``MODELS`` trained otherwise, for the ablations, by word."""

@@ -10,18 +10,18 @@ from torch import Tensor, nn
 
 from oes.dynamics import MODELS, VARIANTS
 from oes.dynamics.augment import Augment
-from oes.dynamics.bounds import Simulator
 from oes.dynamics.examples import Examples, examples
-from oes.dynamics.models import Learned, Seen
-from oes.dynamics.train import Dynamics, train
+from oes.dynamics.models import GraphModel, InputSpec
+from oes.dynamics.reference_models import Simulator
+from oes.dynamics.train import TaskConfig, train_dynamics
 from oes.episode import Episode
 from oes.objects import Objects
 
-Rows = list[dict[str, float]]
+LogRows = list[dict[str, float]]
 
 
 class Scenes(Protocol):
-    """What training needs of the objects file (``oes.percept.store.ObjectStore``)."""
+    """What training needs of the objects file (``oes.perception.objects_file.ObjectStore``)."""
 
     def draws(self, setting: str) -> list[int]:
         """Numbers of the draws of one setting."""
@@ -36,33 +36,35 @@ class Scenes(Protocol):
         """The same with the surfaces that the objects truly have."""
 
 
-def learn(
-    word: str, cfg: Dynamics, scenes: Scenes, episodes: Mapping[int, Episode], work: Path
-) -> tuple[nn.Module, Rows]:
-    """Make the model of ``MODELS`` or ``VARIANTS`` called ``word``: train what learns, measure what the simulator
-    needs, and nothing for static.
+def build_model(
+    word: str, cfg: TaskConfig, scenes: Scenes, episodes: Mapping[int, Episode], work: Path
+) -> tuple[nn.Module, LogRows]:
+    """Make the model of ``MODELS`` or ``VARIANTS`` called ``word``: train what learns, measure what
+    the simulator needs, and nothing for static.
 
-    ``episodes`` by their number; draws of an episode that is missing are left out. Returns the model and the rows of
-    its log. Progress is kept in ``work``.
+    ``episodes`` by their number; draws of an episode that is missing are left out. Returns the
+    model and the rows of its log. Progress is kept in ``work``.
     """
     if word in VARIANTS:
-        cfg, episodes = varied(word, cfg, episodes)
+        cfg, episodes = variant_config(word, cfg, episodes)
     kind = MODELS[VARIANTS.get(word, word)]
-    if issubclass(kind, Learned):
+    if issubclass(kind, GraphModel):
         settings = cfg.fit_of(VARIANTS.get(word, word))
         if cfg.net.contact.true_surfaces:
             scenes = scenes.with_true_surfaces()
-        seen, data = gather(kind, cfg, scenes, episodes)
+        seen, data = training_examples(kind, cfg, scenes, episodes)
         torch.manual_seed(settings.seed)
         learned = kind(cfg.net, seen)
-        return learned, train(learned, data, cfg, settings, work)
+        return learned, train_dynamics(learned, data, cfg, settings, work)
     model = kind()
     if isinstance(model, Simulator):
         model.measure(list(episodes.values()))
     return model, []
 
 
-def varied(word: str, cfg: Dynamics, episodes: Mapping[int, Episode]) -> tuple[Dynamics, Mapping[int, Episode]]:
+def variant_config(
+    word: str, cfg: TaskConfig, episodes: Mapping[int, Episode]
+) -> tuple[TaskConfig, Mapping[int, Episode]]:
     """Settings and episodes of a variant. Raises ValueError where ``cfg.variants`` lacks it."""
     if word not in cfg.variants:
         raise ValueError(f"dynamics.variants has no {word!r}; it has: {', '.join(cfg.variants)}")
@@ -75,22 +77,28 @@ def varied(word: str, cfg: Dynamics, episodes: Mapping[int, Episode]) -> tuple[D
     ), dict(list(episodes.items())[: variant.episodes or None])
 
 
-def gather(
-    kind: type[Learned], cfg: Dynamics, scenes: Scenes, episodes: Mapping[int, Episode]
-) -> tuple[Seen, Examples]:
+def training_examples(
+    kind: type[GraphModel], cfg: TaskConfig, scenes: Scenes, episodes: Mapping[int, Episode]
+) -> tuple[InputSpec, Examples]:
     """All draws that a kind of model learns from, with the sizes of what perception delivers.
 
-    Raises ValueError for a kind of views that ``cfg.draws`` does not name, and when no draw is left.
+    Raises ValueError for a kind of views that ``cfg.draws`` does not name, and when no draw is
+    left.
     """
     if kind.DRAWS not in cfg.draws:
         raise ValueError(f"dynamics.draws has no {kind.DRAWS!r}; it has: {', '.join(cfg.draws)}")
-    draw_is = [i for setting in cfg.draws[kind.DRAWS] for i in scenes.draws(setting) if scenes.episode(i) in episodes]
+    draw_is = [
+        i
+        for setting in cfg.draws[kind.DRAWS]
+        for i in scenes.draws(setting)
+        if scenes.episode(i) in episodes
+    ]
     found = [(*scenes.scene(i), scenes.episode(i)) for i in draw_is]
     found = [(objects, truth, episode_i) for objects, truth, episode_i in found if len(truth)]
     if not found:
         raise ValueError(f"no object in any draw of {', '.join(cfg.draws[kind.DRAWS])}")
     first = found[0][0]
-    seen = Seen(
+    seen = InputSpec(
         first.crop_NCXYZ.shape[1],
         first.crop_NCXYZ.shape[-1],
         cfg.voxel_m,
@@ -106,10 +114,16 @@ def gather(
     return seen, data
 
 
-def _needed(kind: type[Learned], cfg: Dynamics, objects: Objects) -> Objects:
-    """Half-precision crops of the channels read, and images, only for those who look at them: all stays in memory."""
+def _needed(kind: type[GraphModel], cfg: TaskConfig, objects: Objects) -> Objects:
+    """Half-precision crops of the channels read, and images, only for those who look at them: all
+    stays in memory.
+    """
     channels = cfg.net.crop.read if kind.READS_CROPS else 0
     objects = replace(objects, crop_NCXYZ=objects.crop_NCXYZ[:, :channels].half())
     if not kind.READS_SURFACES:
         objects = replace(objects, outline_NRK3=objects.outline_NRK3[:, :1, :1].clone())
-    return objects if kind.READS_IMAGES else replace(objects, image_NV3HW=objects.image_NV3HW[..., :1, :1].clone())
+    return (
+        objects
+        if kind.READS_IMAGES
+        else replace(objects, image_NV3HW=objects.image_NV3HW[..., :1, :1].clone())
+    )

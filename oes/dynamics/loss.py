@@ -2,26 +2,34 @@
 
 from torch import Tensor
 
-from oes.dynamics.augment import Batch
-from oes.dynamics.unroll import Unrolled
+from oes.dynamics.augment import DynamicsBatch
+from oes.dynamics.unroll import Rollout
 
 WATCHED_STEPS = (1, 3, 5)
 
 
-def loss_terms(found: Unrolled, batch: Batch, unit_m: float, soft: float) -> dict[str, Tensor]:
-    """Means over valid objects and steps: ``translation`` |p' - p| / unit, ``rotation`` |R' - R|_F / (2 sqrt 2).
+def loss_terms(
+    found: Rollout, batch: DynamicsBatch, unit_m: float, soft: float
+) -> dict[str, Tensor]:
+    """Means over valid objects and steps: ``translation`` |p' - p| / unit, ``rotation`` |R' - R|_F
+    / (2 sqrt 2).
 
-    The latter is sin(angle / 2): within 4% of the paper's quaternion distance 2 sin(angle / 4) up to 60 degrees, and
-    free of its double cover. Errors well below ``soft`` (above 0) count by their square: where most objects stay as
-    they are, a distance alone holds every forecast at rest.
+    The latter is sin(angle / 2): within 4% of the paper's quaternion distance 2 sin(angle / 4) up
+    to 60 degrees, and free of its double cover. Errors well below ``soft`` (above 0) count by their
+    square: where most objects stay as they are, a distance alone holds every forecast at rest.
     """
     apart = (found.translation_BTN3 - batch.translation_BTN3) / unit_m
     turned = (found.rotation_BTN33 - batch.rotation_BTN33).flatten(-2) / 8**0.5
-    return {"translation": _mean(_norm(apart, soft), batch), "rotation": _mean(_norm(turned, soft), batch)}
+    return {
+        "translation": _mean(_norm(apart, soft), batch),
+        "rotation": _mean(_norm(turned, soft), batch),
+    }
 
 
-def errors(found: Unrolled, batch: Batch) -> dict[str, float]:
-    """Mean errors of the valid objects at T = 1, 3, 5, those there are: ``mm_1``, ``deg_1``, ``mm_3``, ..."""
+def errors(found: Rollout, batch: DynamicsBatch) -> dict[str, float]:
+    """Mean errors of the valid objects at T = 1, 3, 5, those there are: ``mm_1``, ``deg_1``,
+    ``mm_3``, ...
+    """
     apart_BTN = (found.translation_BTN3 - batch.translation_BTN3).norm(dim=-1)
     chord_BTN = (found.rotation_BTN33 - batch.rotation_BTN33).flatten(-2).norm(dim=-1)
     angle_BTN = 2 * (chord_BTN / 8**0.5).clamp(max=1).asin()
@@ -33,7 +41,7 @@ def errors(found: Unrolled, batch: Batch) -> dict[str, float]:
     return out
 
 
-def _mean(error_BTN: Tensor, batch: Batch) -> Tensor:
+def _mean(error_BTN: Tensor, batch: DynamicsBatch) -> Tensor:
     """Mean over the valid objects and all steps."""
     valid_BTN = batch.objects.valid_N[:, None].expand_as(error_BTN)
     return (error_BTN * valid_BTN).sum() / valid_BTN.sum()

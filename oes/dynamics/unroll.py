@@ -7,15 +7,15 @@ import roma
 import torch
 from torch import Tensor, nn
 
-from oes.dynamics.certainty import Certainty
-from oes.dynamics.graph import Motion, ObjectState
+from oes.dynamics.error_model import ErrorModel
+from oes.dynamics.graph import ObjectState, StepMotion
 from oes.objects import Objects
 
 
-class Model(ABC, nn.Module):
+class DynamicsModel(ABC, nn.Module):
     """A one-step forecaster: appearance once, from the first frame, then one call a step."""
 
-    certainty: Certainty | None = None
+    certainty: ErrorModel | None = None
 
     @property
     def drawn(self) -> int:
@@ -23,7 +23,9 @@ class Model(ABC, nn.Module):
         return 1
 
     def redrawn(self, appearance_BNC: Tensor) -> Tensor:
-        """Appearances (DB)NC of all that the model draws, draw by draw; the first is of the objects as they seem."""
+        """Appearances (DB)NC of all that the model draws, draw by draw; the first is of the objects
+        as they seem.
+        """
         return appearance_BNC
 
     @abstractmethod
@@ -31,17 +33,22 @@ class Model(ABC, nn.Module):
         """Appearance BNC of batched objects as first seen; C may be 0."""
 
     @abstractmethod
-    def forward(self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor) -> Motion:
-        """Motion of every object while the tip goes from ``tip_world_B3`` by ``action_B3`` (metres)."""
+    def forward(
+        self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
+    ) -> StepMotion:
+        """Motion of every object while the tip goes from ``tip_world_B3`` by ``action_B3``
+        (metres).
+        """
 
 
 @dataclass(frozen=True)
-class Unrolled:
+class Rollout:
     """Motion of N objects since t = 0 after each of T actions, in world axes.
 
-    ``translation_BTN3`` is the displacement (metres) of the reference point, the box centre at t = 0;
-    ``rotation_BTN33`` the rotation about it: x goes to rotation (x - center) + center + translation. ``scale_BTN``: how
-    far off the translation may be (metres; see ``oes.dynamics.certainty``), of models that tell.
+    ``translation_BTN3`` is the displacement (metres) of the reference point, the box centre at t =
+    0; ``rotation_BTN33`` the rotation about it: x goes to rotation (x - center) + center +
+    translation. ``scale_BTN``: how far off the translation may be (metres; see
+    ``oes.dynamics.error_model``), of models that tell.
     """
 
     translation_BTN3: Tensor
@@ -50,14 +57,16 @@ class Unrolled:
     spread_BTN: Tensor | None = None
 
 
-def at_rest(center_BN3: Tensor, valid_BN: Tensor) -> ObjectState:
+def initial_state(center_BN3: Tensor, valid_BN: Tensor) -> ObjectState:
     """The state at t = 0: nothing has moved."""
-    eye = torch.eye(3, dtype=center_BN3.dtype, device=center_BN3.device).expand(*center_BN3.shape, 3)
+    eye = torch.eye(3, dtype=center_BN3.dtype, device=center_BN3.device).expand(
+        *center_BN3.shape, 3
+    )
     zero = torch.zeros_like(center_BN3)
     return ObjectState(center_BN3, zero, zero, zero, eye, zero, valid_BN)
 
 
-def advance(state: ObjectState, motion: Motion) -> ObjectState:
+def advance_state(state: ObjectState, motion: StepMotion) -> ObjectState:
     """The state after one step; rotations multiply from the left, in world axes."""
     return ObjectState(
         center_BN3=state.center_BN3 + motion.dp_BN3,
@@ -70,56 +79,72 @@ def advance(state: ObjectState, motion: Motion) -> ObjectState:
     )
 
 
-def unroll(model: Model, objects: Objects, tip_B3: Tensor, actions_BT3: Tensor) -> Unrolled:
-    """Forecast batched ``objects`` under ``actions_BT3`` (metres) of the tip, which follows its commanded path."""
-    state = at_rest(objects.center_N3, objects.valid_N)
+def unroll(model: DynamicsModel, objects: Objects, tip_B3: Tensor, actions_BT3: Tensor) -> Rollout:
+    """Forecast batched ``objects`` under ``actions_BT3`` (metres) of the tip, which follows its
+    commanded path.
+    """
+    state = initial_state(objects.center_N3, objects.valid_N)
     if not state.valid_BN.shape[1]:  # networks cannot look at nothing
         none = (*actions_BT3.shape[:2], 0, 3)
-        return Unrolled(actions_BT3.new_zeros(none), actions_BT3.new_zeros(*none, 3))
+        return Rollout(actions_BT3.new_zeros(none), actions_BT3.new_zeros(*none, 3))
     return unroll_from(model, model.appearance(objects), state, tip_B3, actions_BT3)
 
 
 def unroll_from(
-    model: Model, appearance_BNC: Tensor, state: ObjectState, tip_B3: Tensor, actions_BT3: Tensor
-) -> Unrolled:
+    model: DynamicsModel,
+    appearance_BNC: Tensor,
+    state: ObjectState,
+    tip_B3: Tensor,
+    actions_BT3: Tensor,
+) -> Rollout:
     """As ``unroll``, from any state and a given appearance: the mean of the model's futures."""
     if model.drawn == 1:
-        return future_from(model, appearance_BNC, state, tip_B3, actions_BT3)
+        return rollout_from(model, appearance_BNC, state, tip_B3, actions_BT3)
     many = ObjectState(**{name: _repeated(x, model.drawn) for name, x in vars(state).items()})
     pushes = _repeated(tip_B3, model.drawn), _repeated(actions_BT3, model.drawn)
-    found = future_from(model, model.redrawn(appearance_BNC), many, *pushes)
+    found = rollout_from(model, model.redrawn(appearance_BNC), many, *pushes)
     translation_DBTN3 = found.translation_BTN3.reshape(model.drawn, *actions_BT3.shape[:2], -1, 3)
     mean_BTN3 = translation_DBTN3.mean(0)
     spread_BTN = (translation_DBTN3 - mean_BTN3).square().sum(-1).mean(0).sqrt()
-    rotation_BTN33 = roma.special_procrustes(found.rotation_BTN33.reshape(*translation_DBTN3.shape, 3).mean(0))
+    rotation_BTN33 = roma.special_procrustes(
+        found.rotation_BTN33.reshape(*translation_DBTN3.shape, 3).mean(0)
+    )
     scale_BTN = None if model.certainty is None else model.certainty.scale(spread_BTN)
-    return Unrolled(mean_BTN3, rotation_BTN33, scale_BTN, spread_BTN)
+    return Rollout(mean_BTN3, rotation_BTN33, scale_BTN, spread_BTN)
 
 
-def future_from(
-    model: Model, appearance_BNC: Tensor, state: ObjectState, tip_B3: Tensor, actions_BT3: Tensor
-) -> Unrolled:
+def rollout_from(
+    model: DynamicsModel,
+    appearance_BNC: Tensor,
+    state: ObjectState,
+    tip_B3: Tensor,
+    actions_BT3: Tensor,
+) -> Rollout:
     """One future of each appearance: a planner computes those once, expanded over its plans."""
-    assert actions_BT3.ndim == 3 and actions_BT3.shape[0] == appearance_BNC.shape[0], actions_BT3.shape
+    assert actions_BT3.ndim == 3 and actions_BT3.shape[0] == appearance_BNC.shape[0], (
+        actions_BT3.shape
+    )
     translations, rotations = [], []
     for action_B3 in actions_BT3.unbind(1):
-        state = advance(state, model(appearance_BNC, state, tip_B3, action_B3))
+        state = advance_state(state, model(appearance_BNC, state, tip_B3, action_B3))
         tip_B3 = tip_B3 + action_B3
         translations.append(state.moved_BN3)
         rotations.append(state.turned_BN33)
-    return Unrolled(torch.stack(translations, 1), torch.stack(rotations, 1))
+    return Rollout(torch.stack(translations, 1), torch.stack(rotations, 1))
 
 
-def single_steps(
-    model: Model,
+def teacher_forced(
+    model: DynamicsModel,
     objects: Objects,
     tip_B3: Tensor,
     actions_BT3: Tensor,
     translation_BTN3: Tensor,
     rotation_BTN33: Tensor,
-) -> Unrolled:
-    """Each step forecast alone, from the true state before it; motion is still counted since t = 0."""
-    steps, first = actions_BT3.shape[1], at_rest(objects.center_N3, objects.valid_N)
+) -> Rollout:
+    """Each step forecast alone, from the true state before it; motion is still counted since t =
+    0.
+    """
+    steps, first = actions_BT3.shape[1], initial_state(objects.center_N3, objects.valid_N)
     moved_BTN3 = torch.cat([torch.zeros_like(translation_BTN3[:, :1]), translation_BTN3], 1)
     turned_BTN33 = torch.cat([first.turned_BN33[:, None], rotation_BTN33], 1)
     last_BTN3 = torch.cat([moved_BTN3[:, :1], moved_BTN3[:, :-1]], 1)
@@ -134,9 +159,16 @@ def single_steps(
         valid_BN=first.valid_BN.repeat_interleave(steps, 0),
     )
     appearance_CNC = model.appearance(objects).repeat_interleave(steps, 0)
-    tip_BT3 = tip_B3[:, None] + torch.cat([torch.zeros_like(actions_BT3[:, :1]), actions_BT3[:, :-1]], 1).cumsum(1)
-    after = advance(state, model(appearance_CNC, state, tip_BT3.flatten(0, 1), actions_BT3.flatten(0, 1)))
-    return Unrolled(after.moved_BN3.reshape(translation_BTN3.shape), after.turned_BN33.reshape(rotation_BTN33.shape))
+    tip_BT3 = tip_B3[:, None] + torch.cat(
+        [torch.zeros_like(actions_BT3[:, :1]), actions_BT3[:, :-1]], 1
+    ).cumsum(1)
+    after = advance_state(
+        state, model(appearance_CNC, state, tip_BT3.flatten(0, 1), actions_BT3.flatten(0, 1))
+    )
+    return Rollout(
+        after.moved_BN3.reshape(translation_BTN3.shape),
+        after.turned_BN33.reshape(rotation_BTN33.shape),
+    )
 
 
 def _repeated(x_B: Tensor, times: int) -> Tensor:

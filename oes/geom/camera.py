@@ -1,4 +1,6 @@
-"""Pinhole cameras in the OpenCV convention (see ``oes``): depth is z, pixel centres lie at half integers."""
+"""Pinhole cameras in the OpenCV convention (see ``oes``): depth is z, pixel centres lie at half
+integers.
+"""
 
 import numpy as np
 import torch
@@ -9,13 +11,16 @@ from oes.geom.se3 import Array, inverse, transform
 
 
 def intrinsics(fov_deg: float, width_px: int, height_px: int) -> Floats:
-    """K_33 of square pixels whose vertical field of view is ``fov_deg``, principal point at the centre."""
+    """K_33 of square pixels whose vertical field of view is ``fov_deg``, principal point at the
+    centre.
+    """
     focal = height_px / 2 / np.tan(np.radians(fov_deg) / 2)
     return np.array([[focal, 0, width_px / 2], [0, focal, height_px / 2], [0, 0, 1]])
 
 
 def look_at(eye: Floats, target: Floats) -> Floats:
-    """``world_T_cam`` of a camera at ``eye`` that looks at ``target`` with the horizon level (world z is up).
+    """``world_T_cam`` of a camera at ``eye`` that looks at ``target`` with the horizon level (world
+    z is up).
 
     Raises ValueError where the line of sight is vertical: level is then undefined.
     """
@@ -31,7 +36,9 @@ def look_at(eye: Floats, target: Floats) -> Floats:
 
 
 def project(K_33: Array, world_T_cam: Array, points_world: Array) -> tuple[Array, Array]:
-    """Pixels ...P2 (pix frame) and depths ...P of world points ...P3; a depth <= 0 lies behind the camera."""
+    """Pixels ...P2 (pix frame) and depths ...P of world points ...P3; a depth <= 0 lies behind the
+    camera.
+    """
     points_cam = transform(inverse(world_T_cam), points_world)
     depth = points_cam[..., 2]
     uvw = points_cam @ K_33.swapaxes(-1, -2)
@@ -40,7 +47,9 @@ def project(K_33: Array, world_T_cam: Array, points_world: Array) -> tuple[Array
 
 
 def unproject(K_33: Tensor, world_T_cam: Tensor, depth_m_HW: Tensor) -> Tensor:
-    """World points ...HW3 of z-depth images ...HW; pixels without a return (0) give the camera's own position."""
+    """World points ...HW3 of z-depth images ...HW; pixels without a return (0) give the camera's
+    own position.
+    """
     height, width = depth_m_HW.shape[-2:]
     v, u = torch.meshgrid(
         torch.arange(height, device=depth_m_HW.device) + 0.5,

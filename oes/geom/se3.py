@@ -1,4 +1,6 @@
-"""Rigid motions as 4x4 matrices named ``a_T_b``. ``inverse`` and ``transform`` take numpy arrays and torch tensors."""
+"""Rigid motions as 4x4 matrices named ``a_T_b``. ``inverse`` and ``transform`` take numpy arrays
+and torch tensors.
+"""
 
 from typing import TypeVar
 
@@ -47,4 +49,8 @@ def quat_xyzw(R: Floats) -> Floats:
 
 def from_quat_xyzw(quat_xyzw: Floats) -> Floats:
     """Quaternions ...4 (real part last) as rotation matrices ...33."""
-    return Rotation.from_quat(quat_xyzw.reshape(-1, 4)).as_matrix().reshape(*quat_xyzw.shape[:-1], 3, 3)
+    return (
+        Rotation.from_quat(quat_xyzw.reshape(-1, 4))
+        .as_matrix()
+        .reshape(*quat_xyzw.shape[:-1], 3, 3)
+    )

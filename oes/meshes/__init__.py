@@ -1,1 +1,3 @@
-"""Object meshes: generated or ingested, each with convex collision parts, mass properties and a fixed split."""
+"""Object meshes: generated or ingested, each with convex collision parts, mass properties and a
+fixed split.
+"""

@@ -1,4 +1,6 @@
-"""The catalogue of meshes on disk: one folder a mesh, catalogue.csv (the list and the split), rejected.csv."""
+"""The catalogue of meshes on disk: one folder a mesh, catalogue.csv (the list and the split),
+rejected.csv.
+"""
 
 import csv
 import hashlib
@@ -31,10 +33,11 @@ class CatalogueError(ValueError):
 
 @dataclass(frozen=True)
 class Mesh:
-    """One object mesh in its obj frame: metres, z up, at rest on its base, origin at its box centre.
+    """One object mesh in its obj frame: metres, z up, at rest on its base, origin at its box
+    centre.
 
-    ``parts`` are convex and fill it; ``collision_path`` holds them as the groups of one OBJ. Mass properties are for
-    a density of 1 kg/m3, the inertia about the centre of mass.
+    ``parts`` are convex and fill it; ``collision_path`` holds them as the groups of one OBJ. Mass
+    properties are for a density of 1 kg/m3, the inertia about the centre of mass.
     """
 
     id: str
@@ -66,11 +69,15 @@ class Catalogue:
 
         Raises CatalogueError when there are none.
         """
-        mine = [mesh for mesh in self.meshes.values() if (mesh.category == BLOCK) == (task == FALLING)]
+        mine = [
+            mesh for mesh in self.meshes.values() if (mesh.category == BLOCK) == (task == FALLING)
+        ]
         found = [mesh for mesh in mine if mesh.split == name]
         if not found:
             counts = dict(Counter(mesh.split for mesh in mine))
-            raise CatalogueError(f"no mesh for {task} in split '{name}'; for {task} there are {counts}")
+            raise CatalogueError(
+                f"no mesh for {task} in split '{name}'; for {task} there are {counts}"
+            )
         return found
 
     def counts(self) -> Counter[str]:
@@ -89,7 +96,9 @@ class Rejection:
 
 @checked(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
 class Record:
-    """mesh.json: what is known of a mesh besides its triangles; lengths in metres, density 1 kg/m3."""
+    """mesh.json: what is known of a mesh besides its triangles; lengths in metres, density 1
+    kg/m3.
+    """
 
     id: str
     category: str
@@ -97,7 +106,9 @@ class Record:
     status: str
     volume_m3: float
     com_obj_m: tuple[float, float, float]
-    inertia_obj_kg_m2: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+    inertia_obj_kg_m2: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ]
     extents_m: tuple[float, float, float]
 
 
@@ -119,8 +130,12 @@ def write_mesh(draft: Draft, mass: Mass, folder: Path) -> None:
     (folder / RECORD).write_text(json.dumps(record, indent=1) + "\n")
 
 
-def save(folder: Path, splits: dict[str, str], rejections: Iterable[Rejection]) -> Catalogue:
-    """List the meshes written into ``folder`` in catalogue.csv with their splits, and the rejected; then load them."""
+def save_catalogue(
+    folder: Path, splits: dict[str, str], rejections: Iterable[Rejection]
+) -> Catalogue:
+    """List the meshes written into ``folder`` in catalogue.csv with their splits, and the rejected;
+    then load them.
+    """
     with (folder / REJECTED).open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["source", "category", "reason"])
@@ -140,7 +155,9 @@ def load_catalogue(folder: Path) -> Catalogue:
         with (folder / LIST).open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CatalogueError(f"{folder}: not a catalogue of meshes: {LIST} cannot be read ({error})") from error
+        raise CatalogueError(
+            f"{folder}: not a catalogue of meshes: {LIST} cannot be read ({error})"
+        ) from error
     if not rows or not {"id", "split"} <= rows[0].keys():
         raise CatalogueError(f"{folder / LIST}: no meshes listed, or no columns 'id' and 'split'")
     for row in rows:
@@ -151,13 +168,19 @@ def load_catalogue(folder: Path) -> Catalogue:
     return Catalogue({mesh.id: mesh for mesh in meshes})
 
 
-def assign_splits(meshes: Sequence[tuple[str, str]], test_share: float, seed: int) -> dict[str, str]:
-    """Split of each (id, stratum): in every stratum the ``test_share`` (rounded up) with the lowest hash is test.
+def assign_splits(
+    meshes: Sequence[tuple[str, str]], test_share: float, seed: int
+) -> dict[str, str]:
+    """Split of each (id, stratum): in every stratum the ``test_share`` (rounded up) with the lowest
+    hash is test.
 
-    A hash of the id decides, so meshes keep their split when others join other strata. A lone mesh is train.
+    A hash of the id decides, so meshes keep their split when others join other strata. A lone mesh
+    is train.
     """
     ranked: dict[str, list[str]] = {}
-    for id_, stratum in sorted(meshes, key=lambda mesh: hashlib.sha256(f"{seed}/{mesh[0]}".encode()).digest()):
+    for id_, stratum in sorted(
+        meshes, key=lambda mesh: hashlib.sha256(f"{seed}/{mesh[0]}".encode()).digest()
+    ):
         ranked.setdefault(stratum, []).append(id_)
     tests: set[str] = set()
     for ids in ranked.values():

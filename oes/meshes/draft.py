@@ -1,4 +1,6 @@
-"""A mesh on its way into the catalogue: brought to size, stood upright at rest, centred on its box."""
+"""A mesh on its way into the catalogue: brought to size, stood upright at rest, centred on its
+box.
+"""
 
 from dataclasses import dataclass
 
@@ -13,14 +15,16 @@ UNTOUCHED_DEG = 0.5
 
 
 @params
-class Stand:
-    """What a mesh must satisfy as it stands: longest over shortest side, and the tilt to a stable pose."""
+class StandConfig:
+    """What a mesh must satisfy as it stands: longest over shortest side, and the tilt to a stable
+    pose.
+    """
 
     max_aspect: float
     max_tilt_deg: float
 
 
-class Rejected(ValueError):
+class MeshRejected(ValueError):
     """A mesh that cannot be used; the message is the reason."""
 
 
@@ -37,26 +41,31 @@ class Draft:
 
     def mapped(self, matrix_44: Floats) -> "Draft":
         """The draft under a similarity transform."""
-        visual, *parts = [mesh.copy().apply_transform(matrix_44) for mesh in (self.visual, *self.parts)]
+        visual, *parts = [
+            mesh.copy().apply_transform(matrix_44) for mesh in (self.visual, *self.parts)
+        ]
         return Draft(self.id, self.category, self.source, self.status, visual, tuple(parts))
 
 
-def placed(draft: Draft, longest_m: float, cfg: Stand) -> tuple[Draft, Mass]:
-    """The draft in its obj frame: at rest, longest horizontal side ``longest_m``, origin at its box centre.
+def placed(draft: Draft, longest_m: float, cfg: StandConfig) -> tuple[Draft, Mass]:
+    """The draft in its obj frame: at rest, longest horizontal side ``longest_m``, origin at its box
+    centre.
 
     Raises Rejected when it encloses nothing, is too thin, or would tip over.
     """
     mass = draft_mass(draft)
     if mass.volume_m3 < 1e-4 * float(np.prod(draft.visual.extents)):
-        raise Rejected("encloses no volume")
+        raise MeshRejected("encloses no volume")
     rest_44, tilt_deg = resting(draft.visual.convex_hull, mass.com_obj_3)
     if tilt_deg > cfg.max_tilt_deg:
-        raise Rejected(f"tips over: the nearest stable pose is {tilt_deg:.0f} deg away, at most {cfg.max_tilt_deg:g}")
+        raise MeshRejected(
+            f"tips over: the nearest stable pose is {tilt_deg:.0f} deg away, at most {cfg.max_tilt_deg:g}"
+        )
     draft = draft.mapped(rest_44)
     extents_3 = draft.visual.extents
     aspect = extents_3.max() / extents_3.min()
     if aspect > cfg.max_aspect * (1 + 1e-6):
-        raise Rejected(f"sides {aspect:.1f} to 1, at most {cfg.max_aspect:g}")
+        raise MeshRejected(f"sides {aspect:.1f} to 1, at most {cfg.max_aspect:g}")
     scale = longest_m / extents_3[:2].max()
     matrix_44 = np.diag([scale, scale, scale, 1.0])
     matrix_44[:3, 3] = -scale * draft.visual.bounds.mean(0)
@@ -67,7 +76,8 @@ def placed(draft: Draft, longest_m: float, cfg: Stand) -> tuple[Draft, Mass]:
 def draft_mass(draft: Draft) -> Mass:
     """From the visual surface when it bounds a plausible solid, else from the union of the parts.
 
-    Plausible: surfaces nested or doubled inside one another hold more than the parts do, inside-out ones far less.
+    Plausible: surfaces nested or doubled inside one another hold more than the parts do, inside-out
+    ones far less.
     """
     parts_m3 = sum(part.volume for part in draft.parts)
     if draft.visual.is_volume and 0.2 * parts_m3 < draft.visual.volume < 1.05 * parts_m3:
@@ -76,9 +86,11 @@ def draft_mass(draft: Draft) -> Mass:
 
 
 def resting(hull: trimesh.Trimesh, com_3: Floats) -> tuple[Floats, float]:
-    """The smallest turn (4x4) that stands a hull on a facet below its centre of mass, and its angle in degrees.
+    """The smallest turn (4x4) that stands a hull on a facet below its centre of mass, and its angle
+    in degrees.
 
-    A body rests on a facet if its centre of mass projects into it. Turns under half a degree are left out.
+    A body rests on a facet if its centre of mass projects into it. Turns under half a degree are
+    left out.
     """
     corner_F33 = hull.triangles
     normal_F3 = hull.face_normals

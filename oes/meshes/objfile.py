@@ -19,12 +19,17 @@ def write_groups(path: Path, meshes: Sequence[trimesh.Trimesh]) -> None:
 
 
 def read_groups(path: Path) -> list[trimesh.Trimesh]:
-    """Read what ``write_groups`` wrote. Raises ValueError on anything else, OSError when there is no such file."""
+    """Read what ``write_groups`` wrote. Raises ValueError on anything else, OSError when there is
+    no such file.
+    """
     meshes, first = [], 1
     for group in path.read_text(encoding="ascii").split("o part_")[1:]:
         lines = group.splitlines()[1:]
         vertices = np.array([line[2:].split() for line in lines if line.startswith("v ")], float)
-        faces = np.array([line[2:].split() for line in lines if line.startswith("f ")], np.int64) - first
+        faces = (
+            np.array([line[2:].split() for line in lines if line.startswith("f ")], np.int64)
+            - first
+        )
         _check(vertices, faces)
         meshes.append(trimesh.Trimesh(vertices, faces, process=False))
         first += len(vertices)

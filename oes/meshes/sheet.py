@@ -30,7 +30,9 @@ NAME_PT, FULL_LETTERS, MOST_LETTERS = 9.5, 23, 30  # longer names are set smalle
 
 
 def write_sheet(catalogue: Catalogue, tile_px: int, path: Path) -> None:
-    """Draw the catalogue's meshes, eight a row, and write a PNG (the same bytes for the same meshes)."""
+    """Draw the catalogue's meshes, eight a row, and write a PNG (the same bytes for the same
+    meshes).
+    """
     meshes = list(catalogue.meshes.values())
     cell_px = np.array([tile_px + GAP_PX, tile_px + CAPTION_PX + GAP_PX])
     grid = (max(3, min(COLUMNS, len(meshes))), -(-len(meshes) // COLUMNS))
@@ -39,7 +41,9 @@ def write_sheet(catalogue: Catalogue, tile_px: int, path: Path) -> None:
     canvas = figure.add_axes((0, 0, 1, 1), xlim=(0, width_px), ylim=(height_px, 0))
     canvas.axis("off")
     with mpl.rc_context({"font.family": "DejaVu Sans"}):
-        canvas.text(GAP_PX, 34, f"{len(meshes)} meshes", color=INK, fontsize=15, weight="bold", va="center")
+        canvas.text(
+            GAP_PX, 34, f"{len(meshes)} meshes", color=INK, fontsize=15, weight="bold", va="center"
+        )
         canvas.text(GAP_PX, 59, _summary(catalogue), color=FAINT, fontsize=9, va="center")
         for i, mesh in enumerate(meshes):
             left_px, top_px = (cell_px * (i % COLUMNS, i // COLUMNS) + (GAP_PX, HEAD_PX)).tolist()
@@ -48,7 +52,9 @@ def write_sheet(catalogue: Catalogue, tile_px: int, path: Path) -> None:
 
 
 def _summary(catalogue: Catalogue) -> str:
-    counts = ", ".join(f"{number} {split}" for split, number in sorted(catalogue.counts().items(), reverse=True))
+    counts = ", ".join(
+        f"{number} {split}" for split, number in sorted(catalogue.counts().items(), reverse=True)
+    )
     return f"{counts}. Each tile has its own scale: the bar is {BAR_M * 100:g} cm. Sizes are x, y, z in millimetres."
 
 
@@ -57,15 +63,30 @@ def _tile(canvas: Axes, mesh: Mesh, left_px: float, top_px: float, tile_px: int)
     rgb_3 = np.array(CATEGORY_RGB.get(mesh.category, OTHER_RGB))
     image_HW3, px_per_m = portrait(mesh.visual, rgb_3, PAPER_RGB, tile_px)
     extent = (left_px, left_px + tile_px, top_px + tile_px, top_px)
-    canvas.imshow(_bytes(image_HW3), extent=extent, interpolation="nearest", aspect="auto", zorder=1)
+    canvas.imshow(
+        _bytes(image_HW3), extent=extent, interpolation="nearest", aspect="auto", zorder=1
+    )
     bar_px, base_px = BAR_M * px_per_m, top_px + tile_px - 5
-    canvas.plot([left_px, left_px + bar_px], [base_px, base_px], color=FAINT, linewidth=1.6, solid_capstyle="butt")
+    canvas.plot(
+        [left_px, left_px + bar_px],
+        [base_px, base_px],
+        color=FAINT,
+        linewidth=1.6,
+        solid_capstyle="butt",
+    )
     name_px, size_px = top_px + tile_px + 14, top_px + tile_px + 33
     name = mesh.id[:MOST_LETTERS]
     name_pt = NAME_PT * min(1.0, FULL_LETTERS / len(name))
     canvas.text(left_px, name_px, name, color=INK, fontsize=name_pt, weight="bold", va="center")
     sides = " \u00d7 ".join(f"{side * 1e3:.0f}" for side in mesh.extents_m_3)
-    canvas.text(left_px, size_px, f"{mesh.category.replace('_', ' ')}   {sides}", color=FAINT, fontsize=8, va="center")
+    canvas.text(
+        left_px,
+        size_px,
+        f"{mesh.category.replace('_', ' ')}   {sides}",
+        color=FAINT,
+        fontsize=8,
+        va="center",
+    )
     is_test = mesh.split == TEST
     box = FancyBboxPatch(
         (left_px + tile_px - 34, name_px - 7),
@@ -77,7 +98,15 @@ def _tile(canvas: Axes, mesh: Mesh, left_px: float, top_px: float, tile_px: int)
     )
     canvas.add_patch(box)
     ink = "white" if is_test else FAINT
-    canvas.text(left_px + tile_px - 18, name_px + 0.5, mesh.split, color=ink, fontsize=7.5, ha="center", va="center")
+    canvas.text(
+        left_px + tile_px - 18,
+        name_px + 0.5,
+        mesh.split,
+        color=ink,
+        fontsize=7.5,
+        ha="center",
+        va="center",
+    )
 
 
 def _bytes(image_HW3: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -1,8 +1,9 @@
 """The container: an MCAP file read under distrust.
 
-The mcap package's readers check neither the summary's checksum nor, before they allocate, any size; a flipped
-bit in one zstd frame header is then worth gigabytes. So here every length is compared with the bytes that exist and
-with a cap, every checksum is verified, and only then does mcap parse records.
+The mcap package's readers check neither the summary's checksum nor, before they allocate, any size;
+a flipped bit in one zstd frame header is then worth gigabytes. So here every length is compared
+with the bytes that exist and with a cap, every checksum is verified, and only then does mcap parse
+records.
 """
 
 import struct
@@ -52,7 +53,9 @@ class Summary:
 
 
 class Bag:
-    """One open MCAP file; a context manager. Every method raises EpisodeError for what is broken."""
+    """One open MCAP file; a context manager. Every method raises EpisodeError for what is
+    broken.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -72,7 +75,9 @@ class Bag:
             return _parse_summary(self._summary_section()[1])
 
     def messages(self, chunk: ChunkIndex) -> Iterator[Message]:
-        """The messages of one chunk of the summary, after its sizes and its checksum have been verified."""
+        """The messages of one chunk of the summary, after its sizes and its checksum have been
+        verified.
+        """
         with episode_errors(self.path):
             opcode, body = _one_record(self._read(chunk.chunk_start_offset, chunk.chunk_length))
             if opcode != Opcode.CHUNK:
@@ -81,7 +86,9 @@ class Bag:
         return messages(data)
 
     def verify(self) -> None:
-        """Check every byte of the file against the checksums of the data section and of the summary."""
+        """Check every byte of the file against the checksums of the data section and of the
+        summary.
+        """
         with episode_errors(self.path):
             data_end = self._summary_section()[0] - DATA_END_BYTES
             opcode, body = _one_record(self._read(data_end, DATA_END_BYTES))
@@ -94,7 +101,9 @@ class Bag:
                 raise ValueError("checksum of the data section differs")
 
     def _read(self, start: int, length: int) -> bytes:
-        """Exactly ``length`` bytes, which must exist and be fewer than a chunk may have, before they are allocated."""
+        """Exactly ``length`` bytes, which must exist and be fewer than a chunk may have, before
+        they are allocated.
+        """
         if not (0 <= start <= start + length <= self._size and length <= MAX_CHUNK_BYTES):
             raise ValueError(f"bytes {start} to {start + length} of a file of {self._size}")
         self._file.seek(start)
@@ -141,12 +150,16 @@ def _one_record(data: bytes) -> tuple[int, memoryview]:
 
 
 def unpack(body: memoryview) -> memoryview:
-    """The records inside a chunk record. Raises ValueError for sizes that cannot be, or another checksum."""
+    """The records inside a chunk record. Raises ValueError for sizes that cannot be, or another
+    checksum.
+    """
     _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
     packed_at = CHUNK_HEAD.size + name_length + 8
     compression = bytes(body[CHUNK_HEAD.size : packed_at - 8])
     packed = body[packed_at:]
-    if len(packed) != int.from_bytes(body[packed_at - 8 : packed_at], "little") or compression not in (b"", b"zstd"):
+    if len(packed) != int.from_bytes(
+        body[packed_at - 8 : packed_at], "little"
+    ) or compression not in (b"", b"zstd"):
         raise ValueError(f"a chunk of {len(packed)} packed bytes, compression {compression!r}")
     if size > MAX_CHUNK_BYTES or (compression and zstandard.frame_content_size(packed) != size):
         raise ValueError(f"a chunk that claims {size} unpacked bytes")

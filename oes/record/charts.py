@@ -1,4 +1,6 @@
-"""The charts of an episode as SVG: the table from above, displacement over time, contacts over time."""
+"""The charts of an episode as SVG: the table from above, displacement over time, contacts over
+time.
+"""
 
 from html import escape
 from itertools import combinations
@@ -32,7 +34,9 @@ def contact_pairs(episode: Episode) -> list[tuple[int, int]]:
 
 
 def plan_svg(episode: Episode) -> str:
-    """The table from above, x to the right, y up: hulls at every state, the rod's path, the commanded path dashed."""
+    """The table from above, x to the right, y up: hulls at every state, the rod's path, the
+    commanded path dashed.
+    """
     tips_T3 = np.array([step.tip_world_3 for step in episode.steps])
     commanded_T3 = tips_T3[0] + np.vstack([np.zeros((1, 3)), np.cumsum(episode.actions_T3, axis=0)])
     half = 1.08 * np.nanmax([TABLE_HALF_M, _reach(episode), *np.abs(tips_T3[:, :2]).flat])
@@ -61,7 +65,9 @@ def _rod(tips_T3: Floats, commanded_T3: Floats) -> str:
 
 def _reach(episode: Episode) -> float:
     """The largest |x| or |y| that a hull attains."""
-    edges = [np.abs(step.center_N3) + step.size_N3 / 2 for step in episode.steps if len(step.center_N3)]
+    edges = [
+        np.abs(step.center_N3) + step.size_N3 / 2 for step in episode.steps if len(step.center_N3)
+    ]
     return max((float(edge[:, :2].max()) for edge in edges), default=0.0)
 
 
@@ -87,7 +93,9 @@ def displacement_svg(episode: Episode) -> str:
         f'points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y_of[:, i], strict=True))}"/>'
         for i in range(distance_mm.shape[1])
     )
-    return _svg(CHART_HEIGHT_PX, grid + lines + _cursor(x, base) + _state_labels(x, CHART_HEIGHT_PX - 6))
+    return _svg(
+        CHART_HEIGHT_PX, grid + lines + _cursor(x, base) + _state_labels(x, CHART_HEIGHT_PX - 6)
+    )
 
 
 def contacts_svg(episode: Episode) -> str:
@@ -105,8 +113,14 @@ def contacts_svg(episode: Episode) -> str:
             if i and step.touched_MM[a, b]
         ]
     height = 8 + max(1, len(pairs)) * ROW_PX
-    nothing = "" if pairs else f'<text x="{x[0]}" y="15">no contact with the rod, none between objects</text>'
-    return _svg(height + 18, "".join(rows) + nothing + _cursor(x, height) + _state_labels(x, height + 14))
+    nothing = (
+        ""
+        if pairs
+        else f'<text x="{x[0]}" y="15">no contact with the rod, none between objects</text>'
+    )
+    return _svg(
+        height + 18, "".join(rows) + nothing + _cursor(x, height) + _state_labels(x, height + 14)
+    )
 
 
 def _svg(height: float, content: str) -> str:
@@ -115,11 +129,15 @@ def _svg(height: float, content: str) -> str:
 
 def _state_x(num_steps: int) -> list[float]:
     """The x of each state, shared by the charts, so that they read as one timeline."""
-    return [float(x) for x in np.linspace(LABEL_PX, CHART_WIDTH_PX - 20, max(2, num_steps))][:num_steps]
+    return [float(x) for x in np.linspace(LABEL_PX, CHART_WIDTH_PX - 20, max(2, num_steps))][
+        :num_steps
+    ]
 
 
 def _state_labels(x: list[float], y: float) -> str:
-    return "".join(f'<text x="{each:.1f}" y="{y}" text-anchor="middle">{i}</text>' for i, each in enumerate(x))
+    return "".join(
+        f'<text x="{each:.1f}" y="{y}" text-anchor="middle">{i}</text>' for i, each in enumerate(x)
+    )
 
 
 def _cursor(x: list[float], height: float) -> str:

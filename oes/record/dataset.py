@@ -8,7 +8,8 @@ from oes.record.reader import list_episodes, read_episode, read_frames
 
 
 def read_states(folder: Path) -> list[Episode]:
-    """Every episode of a split, in the order of ``list_episodes``. Raises EpisodeError for the first broken one.
+    """Every episode of a split, in the order of ``list_episodes``. Raises EpisodeError for the
+    first broken one.
 
     One process reads about 300 a second, faster than several can hand their results over.
     """
@@ -16,7 +17,8 @@ def read_states(folder: Path) -> list[Episode]:
 
 
 class FrameSource:
-    """Images of one split (or of one episode) by position: (episode, state, cameras). Cheap to send to another process.
+    """Images of one split (or of one episode) by position: (episode, state, cameras). Cheap to send
+    to another process.
 
     Several splits are mixed evenly: any run of neighbours holds of each what the whole holds of it.
     """
@@ -29,8 +31,12 @@ class FrameSource:
     def __len__(self) -> int:
         return len(self.folders)
 
-    def read(self, episode_i: int, step_i: int, camera_is: Sequence[int]) -> tuple[Frames, tuple[Camera, ...]]:
-        """Images of some cameras at one state, and those cameras as they stood then. Raises EpisodeError."""
+    def read(
+        self, episode_i: int, step_i: int, camera_is: Sequence[int]
+    ) -> tuple[Frames, tuple[Camera, ...]]:
+        """Images of some cameras at one state, and those cameras as they stood then. Raises
+        EpisodeError.
+        """
         frames = read_frames(self.folders[episode_i], step_i, camera_is)
         cameras = self.episodes[episode_i].steps[step_i].cameras
         return frames, tuple(cameras[camera_i] for camera_i in camera_is)

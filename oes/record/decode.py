@@ -16,9 +16,12 @@ ENCODINGS = {"rgb8": (np.uint8, 3), "16UC1": (np.dtype("<u2"), 1), "mono8": (np.
 def episode_from(messages: Mapping[str, Sequence[memoryview]]) -> Episode:
     """An Episode from the serialized messages of its three topics, each in order.
 
-    Raises ValueError where their number or order is not what EpisodeInfo announces, or an array has another length.
+    Raises ValueError where their number or order is not what EpisodeInfo announces, or an array has
+    another length.
     """
-    infos, states, actions = ([decode(SCENE_TYPES[topic], data) for data in messages[topic]] for topic in STATE_TOPICS)
+    infos, states, actions = (
+        [decode(SCENE_TYPES[topic], data) for data in messages[topic]] for topic in STATE_TOPICS
+    )
     if len(infos) != 1:
         raise ValueError(f"{len(infos)} messages of {INFO} where one is due")
     [info] = infos
@@ -40,7 +43,9 @@ def episode_from(messages: Mapping[str, Sequence[memoryview]]) -> Episode:
 
 
 def frames_from(images: Sequence[tuple[Any, Any, Any]]) -> Frames:
-    """Frames from the colour, depth and segmentation messages of each camera. Raises ValueError for other images."""
+    """Frames from the colour, depth and segmentation messages of each camera. Raises ValueError for
+    other images.
+    """
     rgb_VHW3 = np.stack([_pixels(color, "rgb8") for color, _, _ in images])
     depth_mm_VHW = np.stack([_pixels(depth, "16UC1") for _, depth, _ in images])
     seg_VHW = np.stack([_pixels(seg, "mono8") for _, _, seg in images])
@@ -54,7 +59,9 @@ def _body(body: Any) -> Body:
 
 def _step(state: Any, num_objects: int, camera_names: tuple[str, ...]) -> Step:
     if len(state.objects) != num_objects:
-        raise ValueError(f"state {state.step_i} has {len(state.objects)} objects, the episode has {num_objects}")
+        raise ValueError(
+            f"state {state.step_i} has {len(state.objects)} objects, the episode has {num_objects}"
+        )
     objects = state.objects
     num_things = num_objects + 2
     return Step(
@@ -80,7 +87,9 @@ def _cameras(state: Any, names: tuple[str, ...]) -> tuple[Camera, ...]:
     sizes = zip(state.widths_px.tolist(), state.heights_px.tolist(), strict=True)
     return tuple(
         Camera(name, K_33, world_T_cam_44, width_px, height_px)
-        for name, K_33, world_T_cam_44, (width_px, height_px) in zip(names, K_V33, world_T_cam_V44, sizes, strict=True)
+        for name, K_33, world_T_cam_44, (width_px, height_px) in zip(
+            names, K_V33, world_T_cam_V44, sizes, strict=True
+        )
     )
 
 

@@ -1,6 +1,7 @@
 """Checks every episode under a folder: ``python -m oes.record.doctor FOLDER [--recover OUT]``.
 
-Prints the broken ones and exits 1 where there are any. ``--recover OUT`` writes what they still hold into OUT.
+Prints the broken ones and exits 1 where there are any. ``--recover OUT`` writes what they still
+hold into OUT.
 """
 
 import argparse
@@ -24,21 +25,29 @@ PAGES = Path("/proc/self/statm")
 
 
 def find_episodes(folder: Path) -> list[Path]:
-    """The episode directories at any depth under ``folder``, or ``folder`` itself where it is one."""
+    """The episode directories at any depth under ``folder``, or ``folder`` itself where it is
+    one.
+    """
     if folder.match(EPISODE_GLOB):
         return [folder]
     return sorted(path for path in folder.rglob(EPISODE_GLOB) if path.is_dir())
 
 
 def problems(folders: Sequence[Path], num_jobs: int) -> Iterator[EpisodeError | None]:
-    """Check episodes on ``num_jobs`` processes of bounded memory, in order: what is wrong with each, or None."""
-    results = Parallel(n_jobs=num_jobs, return_as="generator")(delayed(_check)(folder) for folder in folders)
+    """Check episodes on ``num_jobs`` processes of bounded memory, in order: what is wrong with
+    each, or None.
+    """
+    results = Parallel(n_jobs=num_jobs, return_as="generator")(
+        delayed(_check)(folder) for folder in folders
+    )
     yield from tqdm(results, total=len(folders), desc="checking", unit="episode", disable=None)
 
 
 @contextmanager
 def limited_memory(extra_bytes: int) -> Iterator[None]:
-    """Within, this process maps at most ``extra_bytes`` more than it did (where the system tells: Linux)."""
+    """Within, this process maps at most ``extra_bytes`` more than it did (where the system tells:
+    Linux).
+    """
     if not PAGES.exists():
         yield
         return
@@ -52,7 +61,9 @@ def limited_memory(extra_bytes: int) -> Iterator[None]:
 
 
 def _check(folder: Path) -> EpisodeError | None:
-    """What is wrong with one episode. Our own size checks bound memory; the limit is there should they fail."""
+    """What is wrong with one episode. Our own size checks bound memory; the limit is there should
+    they fail.
+    """
     with limited_memory(EXTRA_BYTES):
         try:
             check_episode(folder)
@@ -74,19 +85,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; the exit status."""
     parser = argparse.ArgumentParser(prog="python -m oes.record.doctor", description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--recover", type=Path, metavar="OUT", help="write what broken episodes still hold into OUT")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: all cores)")
+    parser.add_argument(
+        "--recover", type=Path, metavar="OUT", help="write what broken episodes still hold into OUT"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=os.cpu_count(), help="processes (default: all cores)"
+    )
     args = parser.parse_args(arguments)
     folders = find_episodes(args.folder)
     if not folders:
         print(f"{args.folder}: no episodes", file=sys.stderr)
         return 1
-    broken = [(folder, error) for folder, error in zip(folders, problems(folders, args.jobs), strict=True) if error]
+    broken = [
+        (folder, error)
+        for folder, error in zip(folders, problems(folders, args.jobs), strict=True)
+        if error
+    ]
     width = max((len(str(folder)) for folder, _ in broken), default=0)
     for folder, error in broken:
         print(f"{folder!s:<{width}}  {error.path.name}: {error.reason}")
         if args.recover is not None:
-            print(f"{'':<{width}}  {_rescue(folder, args.recover / folder.parent.name / folder.name)}")
+            print(
+                f"{'':<{width}}  {_rescue(folder, args.recover / folder.parent.name / folder.name)}"
+            )
     print(f"{len(folders)} episodes checked, {len(broken)} broken")
     return 1 if broken else 0
 

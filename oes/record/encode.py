@@ -26,7 +26,9 @@ MAX_DEPTH_MM = 65535
 
 
 def stamp_of(step: Step) -> int:
-    """The stamp of a state: simulated time after a fixed epoch of 1 s (players do not take time 0 for a date)."""
+    """The stamp of a state: simulated time after a fixed epoch of 1 s (players do not take time 0
+    for a date).
+    """
     return EPOCH_NS + step.t_ns
 
 
@@ -37,24 +39,36 @@ def state_messages(episode: Episode) -> Iterator[Encoded]:
         yield encode(STATE, stamp_of(step), SCENE_TYPES[STATE], _state(step_i, step))
     for step_i, action in enumerate(episode.actions_T3):
         stamp_ns = stamp_of(episode.steps[step_i])
-        fields = {"header": header(stamp_ns, "world"), "step_i": step_i, "displacement_m": flat(action)}
+        fields = {
+            "header": header(stamp_ns, "world"),
+            "step_i": step_i,
+            "displacement_m": flat(action),
+        }
         yield encode(ACTION, stamp_ns, SCENE_TYPES[ACTION], make(SCENE_TYPES[ACTION], **fields))
 
 
 def image_messages(step: Step, frames: Frames) -> Iterator[Encoded]:
     """The images of one state, camera by camera; depth in whole millimetres.
 
-    Raises ValueError where the images do not fit the step's cameras, or a depth does not fit 16 bits.
+    Raises ValueError where the images do not fit the step's cameras, or a depth does not fit 16
+    bits.
     """
     sizes = {(len(step.cameras), camera.height_px, camera.width_px) for camera in step.cameras}
-    if not sizes == {frames.rgb_VHW3.shape[:3]} == {frames.depth_m_VHW.shape} == {frames.seg_VHW.shape}:
+    if (
+        not sizes
+        == {frames.rgb_VHW3.shape[:3]}
+        == {frames.depth_m_VHW.shape}
+        == {frames.seg_VHW.shape}
+    ):
         raise ValueError(f"images {frames.rgb_VHW3.shape} do not fit the cameras {sizes}")
     depth_mm_VHW = np.rint(frames.depth_m_VHW * np.float32(MM_PER_M))
     if not (depth_mm_VHW.min() >= 0 and depth_mm_VHW.max() <= MAX_DEPTH_MM):
         raise ValueError(f"depth outside 0..{MAX_DEPTH_MM} mm")
     images = (frames.rgb_VHW3, depth_mm_VHW.astype("<u2"), frames.seg_VHW)
     for camera_i, camera in enumerate(step.cameras):
-        for kind, encoding, image in zip(IMAGE_KINDS, ("rgb8", "16UC1", "mono8"), images, strict=True):
+        for kind, encoding, image in zip(
+            IMAGE_KINDS, ("rgb8", "16UC1", "mono8"), images, strict=True
+        ):
             message = _image(header(stamp_of(step), camera.name), encoding, image[camera_i])
             yield encode(image_topic(camera.name, kind), stamp_of(step), IMAGE_TYPE, message)
 
@@ -92,8 +106,15 @@ def _info(episode: Episode) -> object:
 
 def _state(step_i: int, step: Step) -> object:
     objects = [
-        make("oes_msgs/msg/ObjectState", world_from_obj=flat(pose), center_m=flat(center), size_m=flat(size))
-        for pose, center, size in zip(step.world_T_obj_N44, step.center_N3, step.size_N3, strict=True)
+        make(
+            "oes_msgs/msg/ObjectState",
+            world_from_obj=flat(pose),
+            center_m=flat(center),
+            size_m=flat(size),
+        )
+        for pose, center, size in zip(
+            step.world_T_obj_N44, step.center_N3, step.size_N3, strict=True
+        )
     ]
     cameras = step.cameras
     return make(
@@ -113,7 +134,9 @@ def _state(step_i: int, step: Step) -> object:
     )
 
 
-def _image(image_header: object, encoding: str, image: NDArray[np.uint8] | NDArray[np.uint16]) -> object:
+def _image(
+    image_header: object, encoding: str, image: NDArray[np.uint8] | NDArray[np.uint16]
+) -> object:
     return make(
         IMAGE_TYPE,
         header=image_header,

@@ -11,7 +11,9 @@ from zstandard import ZstdError
 
 
 class EpisodeError(Exception):
-    """A recorded episode that cannot be read: ``path`` names the file, ``reason`` what is wrong with it."""
+    """A recorded episode that cannot be read: ``path`` names the file, ``reason`` what is wrong
+    with it.
+    """
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(path, reason)

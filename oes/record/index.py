@@ -1,4 +1,6 @@
-"""An index of a split, one HTML page: a strip of pictures per episode, displacement, contacts, objects; sortable."""
+"""An index of a split, one HTML page: a strip of pictures per episode, displacement, contacts,
+objects; sortable.
+"""
 
 from html import escape
 from pathlib import Path
@@ -18,15 +20,26 @@ MAX_THUMBNAILS = 1500
 THUMBNAIL_PX = 64
 THUMBNAIL_QUALITY = 60
 SHEETS = "sheets"
-COLUMNS = ("episode", "states", "objects", "n", "most mm", "least mm", "pushed", "object contacts", "rod RMS mm")
+INDEX_COLUMNS = (
+    "episode",
+    "states",
+    "objects",
+    "n",
+    "most mm",
+    "least mm",
+    "pushed",
+    "object contacts",
+    "rod RMS mm",
+)
 NUMBERS_FROM = 3
 
 
 def write_index(folder: Path, camera_i: int, num_sheets: int) -> None:
-    """Write ``folder``/index.html about its episodes, and contact sheets of the first ``num_sheets`` under sheets/.
+    """Write ``folder``/index.html about its episodes, and contact sheets of the first
+    ``num_sheets`` under sheets/.
 
-    Pictures come from camera ``camera_i``: as many states of each episode as keep the page at a few MB. Raises
-    EpisodeError for the first episode that cannot be read.
+    Pictures come from camera ``camera_i``: as many states of each episode as keep the page at a few
+    MB. Raises EpisodeError for the first episode that cannot be read.
     """
     paths = list_episodes(folder)
     (folder / SHEETS).mkdir(exist_ok=True)
@@ -36,9 +49,13 @@ def write_index(folder: Path, camera_i: int, num_sheets: int) -> None:
     rows = []
     for position, path in enumerate(tqdm(paths, desc="index", unit="episode", disable=None)):
         episode = read_episode(path)
-        strip = _strip(path, len(episode.steps), camera_i, num_pictures) if 2 * position < MAX_THUMBNAILS else ""
+        strip = (
+            _strip(path, len(episode.steps), camera_i, num_pictures)
+            if 2 * position < MAX_THUMBNAILS
+            else ""
+        )
         rows.append(_row(path.name, episode, strip, has_sheet=position < num_sheets))
-    head = "".join(f'<th class="{_align(i)}">{name}</th>' for i, name in enumerate(COLUMNS))
+    head = "".join(f'<th class="{_align(i)}">{name}</th>' for i, name in enumerate(INDEX_COLUMNS))
     body = f"""
 <header><h1>{escape(folder.name)}</h1>
 <p>{len(paths)} episodes. n: objects; most, least: displacement of the object that moved most and least; pushed:
@@ -50,9 +67,14 @@ A contact sheet of any episode: <code>python -m oes.record.sheet EPISODE</code><
 
 def _strip(path: Path, num_steps: int, camera_i: int, num_pictures: int) -> str:
     """Some states of an episode, first and last among them, side by side."""
-    step_is = np.unique(np.linspace(0, num_steps - 1, min(num_pictures, num_steps)).round().astype(int))
+    step_is = np.unique(
+        np.linspace(0, num_steps - 1, min(num_pictures, num_steps)).round().astype(int)
+    )
     images = [read_frames(path, int(step_i), [camera_i]).rgb_VHW3[0] for step_i in step_is]
-    small = [cv2.resize(image, (THUMBNAIL_PX, THUMBNAIL_PX), interpolation=cv2.INTER_AREA) for image in images]
+    small = [
+        cv2.resize(image, (THUMBNAIL_PX, THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
+        for image in images
+    ]
     uri = jpeg_uri(np.hstack(small).astype(np.uint8), THUMBNAIL_QUALITY)
     return f'<img width="{THUMBNAIL_PX * len(small)}" height="{THUMBNAIL_PX}" loading="lazy" src="{uri}" alt="">'
 
@@ -71,9 +93,13 @@ def _row(name: str, episode: Episode, strip: str, has_sheet: bool) -> str:
         str(sum(a > 1 for a, _ in pairs)),
         f"{episode.rod_rms_m * MM:.2f}" if episode.has_robot else "",
     ]
-    return "<tr>" + "".join(f'<td class="{_align(i)}">{cell}</td>' for i, cell in enumerate(cells)) + "</tr>"
+    return (
+        "<tr>"
+        + "".join(f'<td class="{_align(i)}">{cell}</td>' for i, cell in enumerate(cells))
+        + "</tr>"
+    )
 
 
 def _align(column: int) -> str:
     """The class of a column's cells."""
-    return "number" if column >= NUMBERS_FROM else COLUMNS[column]
+    return "number" if column >= NUMBERS_FROM else INDEX_COLUMNS[column]

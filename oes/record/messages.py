@@ -1,7 +1,9 @@
-"""The ROS 2 messages of an episode: standard types (Humble), four of our own, and the topics that carry them.
+"""The ROS 2 messages of an episode: standard types (Humble), four of our own, and the topics that
+carry them.
 
-``oes_msgs`` hold every number of an Episode exactly, matrices row-major in float64; ROS field names are lower case,
-so ``world_from_obj`` is ``world_T_obj``. The standard messages repeat what viewers draw.
+``oes_msgs`` hold every number of an Episode exactly, matrices row-major in float64; ROS field names
+are lower case, so ``world_from_obj`` is ``world_T_obj``. The standard messages repeat what viewers
+draw.
 """
 
 from dataclasses import dataclass
@@ -76,7 +78,9 @@ KNOWN_TYPES = {*SCENE_TYPES.values(), IMAGE_TYPE, CAMERA_INFO_TYPE}
 
 @dataclass(frozen=True)
 class Encoded:
-    """One serialized message: its topic, its stamp (ns since the epoch of the bag) and its CDR bytes."""
+    """One serialized message: its topic, its stamp (ns since the epoch of the bag) and its CDR
+    bytes.
+    """
 
     topic: str
     stamp_ns: int
@@ -98,11 +102,16 @@ def topic_type(topic: str) -> str:
 
 def topic_counts(camera_names: tuple[str, ...], num_steps: int) -> dict[str, int]:
     """How many messages each topic of a complete episode of ``num_steps`` states holds."""
-    return {topic: num_steps for topic in topics_of(camera_names)} | {INFO: 1, ACTION: num_steps - 1}
+    return {topic: num_steps for topic in topics_of(camera_names)} | {
+        INFO: 1,
+        ACTION: num_steps - 1,
+    }
 
 
 def image_topic(camera_name: str, kind: str) -> str:
-    """The topic of one kind of image or camera_info, for instance ``/cam_03/depth/image_rect_raw``."""
+    """The topic of one kind of image or camera_info, for instance
+    ``/cam_03/depth/image_rect_raw``.
+    """
     return f"/{camera_name}/{kind}"
 
 
@@ -134,11 +143,15 @@ def make(typename: str, **fields: Any) -> Any:
 
 def encode(topic: str, stamp_ns: int, typename: str, message: object) -> Encoded:
     """Serialize a message to little-endian CDR."""
-    return Encoded(topic, stamp_ns, typestore().serialize_cdr(message, typename, little_endian=True))
+    return Encoded(
+        topic, stamp_ns, typestore().serialize_cdr(message, typename, little_endian=True)
+    )
 
 
 def decode(typename: str, data: bytes | memoryview) -> Any:
-    """Read a message back; its arrays are views of ``data``. Raises SerdeError for bytes that do not fit the type."""
+    """Read a message back; its arrays are views of ``data``. Raises SerdeError for bytes that do
+    not fit the type.
+    """
     return typestore().deserialize_cdr(data, typename)
 
 

@@ -12,7 +12,9 @@ VERSION = 8
 
 @dataclass(frozen=True)
 class Contents:
-    """What one bag holds: the type and the number of messages of each topic, first and last stamp (ns)."""
+    """What one bag holds: the type and the number of messages of each topic, first and last stamp
+    (ns).
+    """
 
     types: dict[str, str]
     counts: dict[str, int]
@@ -55,7 +57,9 @@ def _topic(contents: Contents, topic: str) -> dict[str, object]:
 
 
 class _Plain(yaml.CSafeDumper):
-    """Repeats equal values instead of pointing at the first (yaml-cpp reads anchors, people do not)."""
+    """Repeats equal values instead of pointing at the first (yaml-cpp reads anchors, people do
+    not).
+    """
 
     def ignore_aliases(self, data: object) -> bool:
         return True

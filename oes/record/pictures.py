@@ -1,4 +1,6 @@
-"""Small pictures of recorded views as data URIs: mosaics of all cameras, strips of one, boxes as SVG paths."""
+"""Small pictures of recorded views as data URIs: mosaics of all cameras, strips of one, boxes as
+SVG paths.
+"""
 
 from base64 import b64encode
 
@@ -29,11 +31,15 @@ def mosaic(images_VHW3: Pixels) -> Pixels:
     padded = np.full((num_rows * NUM_COLUMNS, height, width, 3), 255, np.uint8)
     padded[:num_views] = images_VHW3
     rows = padded.reshape(num_rows, NUM_COLUMNS, height, width, 3)[::-1]
-    return np.ascontiguousarray(rows.transpose(0, 2, 1, 3, 4)).reshape(num_rows * height, NUM_COLUMNS * width, 3)
+    return np.ascontiguousarray(rows.transpose(0, 2, 1, 3, 4)).reshape(
+        num_rows * height, NUM_COLUMNS * width, 3
+    )
 
 
 def place(view_i: int, num_views: int, size_px: tuple[int, int]) -> tuple[int, int]:
-    """The left upper corner (x, y) in pixels of one view in the mosaic; ``size_px`` is width and height of a view."""
+    """The left upper corner (x, y) in pixels of one view in the mosaic; ``size_px`` is width and
+    height of a view.
+    """
     num_rows = -(-num_views // NUM_COLUMNS)
     row, column = divmod(view_i, NUM_COLUMNS)
     return column * size_px[0], (num_rows - 1 - row) * size_px[1]
@@ -44,13 +50,17 @@ def depth_picture(depth_m_VHW: NDArray[np.float32], near_m: float, far_m: float)
     share = np.clip((depth_m_VHW - near_m) / max(far_m - near_m, 1e-6), 0, 1)
     gray = (255 * (1 - share)).astype(np.uint8)
     colored = cv2.applyColorMap(gray.reshape(-1, gray.shape[-1]), cv2.COLORMAP_VIRIDIS)[..., ::-1]
-    return np.where(depth_m_VHW[..., None] > 0, colored.reshape(*gray.shape, 3), 255).astype(np.uint8)
+    return np.where(depth_m_VHW[..., None] > 0, colored.reshape(*gray.shape, 3), 255).astype(
+        np.uint8
+    )
 
 
 def seg_picture(seg_VHW: Pixels) -> Pixels:
     """Segmentation ids as flat colours."""
     palette = np.zeros((256, 3), np.uint8)
-    colors = SEG_COLORS | {i: object_color(i - SEG_FIRST_OBJECT) for i in range(SEG_FIRST_OBJECT, 256)}
+    colors = SEG_COLORS | {
+        i: object_color(i - SEG_FIRST_OBJECT) for i in range(SEG_FIRST_OBJECT, 256)
+    }
     for seg_id, color in colors.items():
         palette[seg_id] = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
     return palette[seg_VHW]
@@ -69,7 +79,9 @@ def png_uri(image_HW3: Pixels) -> str:
 
 
 def box_path(camera: Camera, corner_xy: tuple[int, int], center_3: Floats, size_3: Floats) -> str:
-    """The edges of a world-axes box as seen by a camera, as an SVG path in mosaic pixels; empty if behind it."""
+    """The edges of a world-axes box as seen by a camera, as an SVG path in mosaic pixels; empty if
+    behind it.
+    """
     signs_83 = np.array([[(i >> axis & 1) - 0.5 for axis in range(3)] for i in range(8)])
     uv_82, depth_8 = project(camera.K_33, camera.world_T_cam_44, center_3 + signs_83 * size_3)
     if depth_8.min() <= 0:

@@ -24,12 +24,16 @@ EPISODE_GLOB = "traj_*"
 
 
 def list_episodes(folder: Path) -> list[Path]:
-    """The episode directories of a split, sorted; the position in this list is the episode's number everywhere."""
+    """The episode directories of a split, sorted; the position in this list is the episode's number
+    everywhere.
+    """
     return sorted(path for path in folder.glob(EPISODE_GLOB) if path.is_dir())
 
 
 def bag_path(folder: Path) -> Path:
-    """The one MCAP file of an episode directory. Raises EpisodeError where there is none, or more than one."""
+    """The one MCAP file of an episode directory. Raises EpisodeError where there is none, or more
+    than one.
+    """
     paths = sorted(folder.glob("*.mcap"))
     if len(paths) != 1:
         raise EpisodeError(folder, f"{len(paths)} MCAP files where one is due")
@@ -52,8 +56,8 @@ def read_episode(folder: Path) -> Episode:
 def read_frames(folder: Path, step_i: int, camera_is: Sequence[int] | None) -> Frames:
     """The images of one state from some cameras, in the order asked for (None: all).
 
-    Unpacks only the chunks that hold them, and verifies their checksums. Raises EpisodeError as ``read_episode``,
-    and for a state or a camera that the episode does not have.
+    Unpacks only the chunks that hold them, and verifies their checksums. Raises EpisodeError as
+    ``read_episode``, and for a state or a camera that the episode does not have.
     """
     path = bag_path(folder)
     with Bag(path) as bag, episode_errors(path):
@@ -62,9 +66,13 @@ def read_frames(folder: Path, step_i: int, camera_is: Sequence[int] | None) -> F
         wanted = range(len(names)) if camera_is is None else camera_is
         if not all(0 <= camera_i < len(names) for camera_i in wanted):
             raise EpisodeError(path, f"no camera {list(wanted)}: it has {len(names)}")
-        topics = [[image_topic(names[camera_i], kind) for kind in IMAGE_KINDS] for camera_i in wanted]
+        topics = [
+            [image_topic(names[camera_i], kind) for kind in IMAGE_KINDS] for camera_i in wanted
+        ]
         images = _images(bag, summary, {topic for three in topics for topic in three}, step_i)
-        return frames_from([(images[color], images[depth], images[seg]) for color, depth, seg in topics])
+        return frames_from(
+            [(images[color], images[depth], images[seg]) for color, depth, seg in topics]
+        )
 
 
 def camera_names(summary: Summary) -> tuple[str, ...]:
@@ -87,7 +95,9 @@ def _messages(bag: Bag, summary: Summary, topics: set[str]) -> dict[str, list[me
 
 
 def _images(bag: Bag, summary: Summary, topics: set[str], step_i: int) -> dict[str, Any]:
-    """The Image message of each topic at one state; a chunk with images holds those of one state only."""
+    """The Image message of each topic at one state; a chunk with images holds those of one state
+    only.
+    """
     ids = channel_ids(summary, topics)
     chunks = [chunk for chunk in summary.chunks if ids.keys() & chunk.message_index_offsets.keys()]
     stamps_ns = sorted({chunk.message_start_time for chunk in chunks})
@@ -105,7 +115,9 @@ def _images(bag: Bag, summary: Summary, topics: set[str], step_i: int) -> dict[s
 
 
 def channel_ids(summary: Summary, topics: set[str]) -> dict[int, str]:
-    """Channel id -> topic of some topics. Raises ValueError where one is missing or its type is not ours."""
+    """Channel id -> topic of some topics. Raises ValueError where one is missing or its type is not
+    ours.
+    """
     known = {
         schema_id: schema.name
         for schema_id, schema in summary.schemas.items()
@@ -115,7 +127,9 @@ def channel_ids(summary: Summary, topics: set[str]) -> dict[int, str]:
     for channel_id, channel in summary.channels.items():
         if channel.topic in topics:
             if known.get(channel.schema_id) != topic_type(channel.topic):
-                raise ValueError(f"the type of {channel.topic} is not our {topic_type(channel.topic)}")
+                raise ValueError(
+                    f"the type of {channel.topic} is not our {topic_type(channel.topic)}"
+                )
             ids[channel_id] = channel.topic
     if missing := topics - set(ids.values()):
         raise ValueError(f"no topic {', '.join(sorted(missing))}")
@@ -123,8 +137,12 @@ def channel_ids(summary: Summary, topics: set[str]) -> dict[int, str]:
 
 
 def check_counts(path: Path, counts: Mapping[str, int], episode: Episode) -> None:
-    """Raises EpisodeError where a topic has fewer or more messages than the episode's states ask for."""
+    """Raises EpisodeError where a topic has fewer or more messages than the episode's states ask
+    for.
+    """
     names = tuple(camera.name for camera in episode.steps[0].cameras)
     for topic, due in topic_counts(names, len(episode.steps)).items():
         if counts.get(topic, 0) != due:
-            raise EpisodeError(path, f"{counts.get(topic, 0)} messages of {topic} where {due} are due")
+            raise EpisodeError(
+                path, f"{counts.get(topic, 0)} messages of {topic} where {due} are due"
+            )

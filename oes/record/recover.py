@@ -18,7 +18,14 @@ from oes.episode import Episode, Frames
 from oes.record.bag import messages, records, unpack
 from oes.record.decode import episode_from, frames_from
 from oes.record.errors import EpisodeError, episode_errors
-from oes.record.messages import IMAGE_KINDS, IMAGE_TYPE, STATE_TOPICS, decode, image_topic, topic_counts
+from oes.record.messages import (
+    IMAGE_KINDS,
+    IMAGE_TYPE,
+    STATE_TOPICS,
+    decode,
+    image_topic,
+    topic_counts,
+)
 from oes.record.reader import bag_path
 from oes.record.writer import write_episode
 
@@ -27,7 +34,9 @@ MAX_FILE_BYTES = 1 << 30
 
 @dataclass(frozen=True)
 class Recovered:
-    """How much of an episode survived: states with all their images, and messages, each of how many."""
+    """How much of an episode survived: states with all their images, and messages, each of how
+    many.
+    """
 
     steps: int
     steps_due: int
@@ -38,27 +47,38 @@ class Recovered:
 def recover(folder: Path, out: Path) -> Recovered:
     """Write as ``out`` the states of a damaged episode that come before the first missing image.
 
-    The states lie in the first chunk, so that a truncated file keeps them all. Raises EpisodeError where they, or
-    the images of the first state, are lost; FileExistsError where ``out`` exists.
+    The states lie in the first chunk, so that a truncated file keeps them all. Raises EpisodeError
+    where they, or the images of the first state, are lost; FileExistsError where ``out`` exists.
     """
     path = bag_path(folder)
     with episode_errors(path):
         if path.stat().st_size > MAX_FILE_BYTES:
             raise EpisodeError(path, f"larger than {MAX_FILE_BYTES} bytes")
         found = _survivors(path.read_bytes())
-        states = {topic: [data for _, data in sorted(found.get(topic, {}).items())] for topic in STATE_TOPICS}
+        states = {
+            topic: [data for _, data in sorted(found.get(topic, {}).items())]
+            for topic in STATE_TOPICS
+        }
         episode = episode_from(states)
         num_steps = _num_whole_steps(episode, found)
         if num_steps == 0:
             raise EpisodeError(path, "no state has all its images: nothing to recover")
-    shorter = replace(episode, actions_T3=episode.actions_T3[: num_steps - 1], steps=episode.steps[:num_steps])
+    shorter = replace(
+        episode, actions_T3=episode.actions_T3[: num_steps - 1], steps=episode.steps[:num_steps]
+    )
     write_episode(shorter, _frames(shorter, found), out)
-    due = topic_counts(tuple(camera.name for camera in episode.steps[0].cameras), len(episode.steps))
-    return Recovered(num_steps, len(episode.steps), sum(len(each) for each in found.values()), sum(due.values()))
+    due = topic_counts(
+        tuple(camera.name for camera in episode.steps[0].cameras), len(episode.steps)
+    )
+    return Recovered(
+        num_steps, len(episode.steps), sum(len(each) for each in found.values()), sum(due.values())
+    )
 
 
 def _survivors(data: bytes) -> dict[str, dict[int, memoryview]]:
-    """Topic -> running number -> bytes of every message in a chunk whose checksum holds, up to where records end."""
+    """Topic -> running number -> bytes of every message in a chunk whose checksum holds, up to
+    where records end.
+    """
     if not data.startswith(MCAP0_MAGIC):
         raise ValueError("does not begin as an MCAP file")
     found: dict[str, dict[int, memoryview]] = {}
@@ -67,7 +87,9 @@ def _survivors(data: bytes) -> dict[str, dict[int, memoryview]]:
         if opcode == Opcode.CHUNK and (chunk := _unpack_or_none(body)) is not None:
             topics |= _topics(chunk)
             for message in messages(chunk):
-                found.setdefault(topics.get(message.channel_id, ""), {})[message.sequence] = message.data
+                found.setdefault(topics.get(message.channel_id, ""), {})[message.sequence] = (
+                    message.data
+                )
     return found
 
 
@@ -88,8 +110,15 @@ def _topics(chunk: memoryview) -> dict[int, str]:
 
 def _num_whole_steps(episode: Episode, found: dict[str, dict[int, memoryview]]) -> int:
     """How many states, from the first on, have the images of every camera."""
-    topics = [image_topic(camera.name, kind) for camera in episode.steps[0].cameras for kind in IMAGE_KINDS]
-    whole = [all(step_i in found.get(topic, {}) for topic in topics) for step_i in range(len(episode.steps))]
+    topics = [
+        image_topic(camera.name, kind)
+        for camera in episode.steps[0].cameras
+        for kind in IMAGE_KINDS
+    ]
+    whole = [
+        all(step_i in found.get(topic, {}) for topic in topics)
+        for step_i in range(len(episode.steps))
+    ]
     return [*whole, False].index(False)
 
 

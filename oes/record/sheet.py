@@ -1,7 +1,8 @@
-"""A contact sheet of one episode, one HTML file that needs nothing else: ``python -m oes.record.sheet EPISODE``.
+"""A contact sheet of one episode, one HTML file that needs nothing else: ``python -m
+oes.record.sheet EPISODE``.
 
-All views of a state with colour, depth or segmentation and the boxes of the objects; a slider moves through the
-states; the table from above, displacements and contacts follow it.
+All views of a state with colour, depth or segmentation and the boxes of the objects; a slider moves
+through the states; the table from above, displacements and contacts follow it.
 """
 
 import argparse
@@ -15,7 +16,16 @@ import numpy as np
 from oes.episode import Episode, Frames, Step
 from oes.record.charts import MM, contacts_svg, displacement_mm, displacement_svg, plan_svg
 from oes.record.page import SHEET_SCRIPT, page
-from oes.record.pictures import box_path, depth_picture, jpeg_uri, mosaic, object_color, place, png_uri, seg_picture
+from oes.record.pictures import (
+    box_path,
+    depth_picture,
+    jpeg_uri,
+    mosaic,
+    object_color,
+    place,
+    png_uri,
+    seg_picture,
+)
 from oes.record.reader import read_episode, read_frames
 
 COLOR_QUALITY, DEPTH_QUALITY = 82, 75
@@ -24,7 +34,9 @@ LAYERS = ("colour", "depth", "segmentation")
 
 
 def episode_sheet(folder: Path) -> str:
-    """The HTML of an episode's contact sheet (1 to 3 MB at 27 views of 128 x 128). Raises EpisodeError."""
+    """The HTML of an episode's contact sheet (1 to 3 MB at 27 views of 128 x 128). Raises
+    EpisodeError.
+    """
     episode = read_episode(folder)
     frames = [read_frames(folder, step_i, None) for step_i in range(len(episode.steps))]
     title = f"{episode.task} {episode.split}, episode {episode.index}"
@@ -63,7 +75,9 @@ def _layer_button(name: str) -> str:
 
 
 def _views(episode: Episode, frames: Sequence[Frames]) -> str:
-    """The mosaics of every state and layer, of which the page shows one, under one drawing of boxes per state."""
+    """The mosaics of every state and layer, of which the page shows one, under one drawing of boxes
+    per state.
+    """
     returns = np.concatenate([each.depth_m_VHW[each.depth_m_VHW > 0] for each in frames])
     near_m, far_m = np.percentile(returns, [1, 99]) if returns.size else (0.0, 1.0)
     images = []
@@ -78,7 +92,9 @@ def _views(episode: Episode, frames: Sequence[Frames]) -> str:
             for layer, uri in zip(LAYERS, uris, strict=True)
         ]
     height, width = mosaic(frames[0].rgb_VHW3).shape[:2]
-    overlay = "".join(_boxes(step_i, step) for step_i, step in enumerate(episode.steps)) + _names(episode.steps[0])
+    overlay = "".join(_boxes(step_i, step) for step_i, step in enumerate(episode.steps)) + _names(
+        episode.steps[0]
+    )
     return (
         f'<div class="mosaic">{"".join(images)}<svg viewBox="0 0 {width} {height}">{overlay}</svg></div>'
         f"<p class='note'>Depth from {near_m:.2f} m (yellow) to {far_m:.2f} m (dark), white where nothing returned.</p>"
@@ -90,7 +106,10 @@ def _boxes(step_i: int, step: Step) -> str:
     corners = [place(view_i, len(step.cameras), size_px) for view_i in range(len(step.cameras))]
     paths = []
     for object_i, (center, size) in enumerate(zip(step.center_N3, step.size_N3, strict=True)):
-        edges = "".join(box_path(camera, at, center, size) for camera, at in zip(step.cameras, corners, strict=True))
+        edges = "".join(
+            box_path(camera, at, center, size)
+            for camera, at in zip(step.cameras, corners, strict=True)
+        )
         paths.append(f'<path d="{edges}" stroke="{object_color(object_i)}"/>')
     return f'<g class="boxes" data-step="{step_i}">{"".join(paths)}</g>'
 
@@ -130,7 +149,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; the exit status."""
     parser = argparse.ArgumentParser(prog="python -m oes.record.sheet", description=__doc__)
     parser.add_argument("episode", type=Path)
-    parser.add_argument("--out", type=Path, help="the HTML file (default: EPISODE's name in the working directory)")
+    parser.add_argument(
+        "--out", type=Path, help="the HTML file (default: EPISODE's name in the working directory)"
+    )
     args = parser.parse_args(arguments)
     out = args.out if args.out is not None else Path(f"{args.episode.resolve().name}.html")
     out.write_text(episode_sheet(args.episode), encoding="utf-8")

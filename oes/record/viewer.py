@@ -26,7 +26,11 @@ MARKER_RGBA = (0.95, 0.55, 0.10, 0.35)
 def viewer_messages(step: Step) -> Iterator[Encoded]:
     """What ROS tools and Foxglove draw of one state: transforms, joints, boxes, camera models."""
     stamp_ns = stamp_of(step)
-    for topic, message in (("/tf", _tf(step)), ("/joint_states", _joints(step)), ("/objects/markers", _boxes(step))):
+    for topic, message in (
+        ("/tf", _tf(step)),
+        ("/joint_states", _joints(step)),
+        ("/objects/markers", _boxes(step)),
+    ):
         yield encode(topic, stamp_ns, SCENE_TYPES[topic], message)
     for camera in step.cameras:
         for kind in INFO_KINDS:
@@ -38,7 +42,11 @@ def _tf(step: Step) -> object:
     names = [camera.name for camera in step.cameras]
     names += [f"object_{i}" for i in range(len(step.world_T_obj_N44))]
     names += [f"link_{i:02d}" for i in range(len(step.world_T_link_L44))]
-    poses = [np.array([camera.world_T_cam_44 for camera in step.cameras]), step.world_T_obj_N44, step.world_T_link_L44]
+    poses = [
+        np.array([camera.world_T_cam_44 for camera in step.cameras]),
+        step.world_T_obj_N44,
+        step.world_T_link_L44,
+    ]
     world_T_frame = np.concatenate([pose.reshape(-1, 4, 4) for pose in poses])
     # oes.geom has this too, but loads torch, which the doctor's many processes can do without.
     quats_xyzw = Rotation.from_matrix(world_T_frame[:, :3, :3]).as_quat().tolist()
@@ -48,7 +56,11 @@ def _tf(step: Step) -> object:
             "geometry_msgs/msg/TransformStamped",
             header=world,
             child_frame_id=name,
-            transform=make("geometry_msgs/msg/Transform", translation=vector(pose[:3, 3]), rotation=_quaternion(quat)),
+            transform=make(
+                "geometry_msgs/msg/Transform",
+                translation=vector(pose[:3, 3]),
+                rotation=_quaternion(quat),
+            ),
         )
         for name, pose, quat in zip(names, world_T_frame, quats_xyzw, strict=True)
     ]
@@ -63,7 +75,11 @@ def _quaternion(quat_xyzw: list[float]) -> object:
 def _joints(step: Step) -> object:
     empty = np.zeros(0)
     names = [f"joint_{i}" for i in range(len(step.joints_rad_J))]
-    fields = {"header": header(stamp_of(step), "world"), "name": names, "position": flat(step.joints_rad_J)}
+    fields = {
+        "header": header(stamp_of(step), "world"),
+        "name": names,
+        "position": flat(step.joints_rad_J),
+    }
     return make(SCENE_TYPES["/joint_states"], velocity=empty, effort=empty, **fields)
 
 
@@ -71,7 +87,9 @@ def _boxes(step: Step) -> object:
     """The hull of every object as a translucent cube."""
     stamp_ns = stamp_of(step)
     boxes = zip(step.center_N3, step.size_N3, strict=True)
-    markers = [_cube(stamp_ns, object_i, center, size) for object_i, (center, size) in enumerate(boxes)]
+    markers = [
+        _cube(stamp_ns, object_i, center, size) for object_i, (center, size) in enumerate(boxes)
+    ]
     return make(SCENE_TYPES["/objects/markers"], markers=markers)
 
 
@@ -86,7 +104,9 @@ def _cube(stamp_ns: int, object_i: int, center_3: Floats, size_3: Floats) -> obj
         id=object_i,
         type=MARKER_CUBE,
         action=0,
-        pose=make("geometry_msgs/msg/Pose", position=vector(center_3, "Point"), orientation=upright),
+        pose=make(
+            "geometry_msgs/msg/Pose", position=vector(center_3, "Point"), orientation=upright
+        ),
         scale=vector(size_3),
         color=make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=alpha),
         lifetime=make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
@@ -94,7 +114,9 @@ def _cube(stamp_ns: int, object_i: int, center_3: Floats, size_3: Floats) -> obj
         points=[],
         colors=[],
         texture_resource="",
-        texture=make("sensor_msgs/msg/CompressedImage", header=header(0, ""), format="", data=no_bytes),
+        texture=make(
+            "sensor_msgs/msg/CompressedImage", header=header(0, ""), format="", data=no_bytes
+        ),
         uv_coordinates=[],
         text="",
         mesh_resource="",

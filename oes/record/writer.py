@@ -1,4 +1,6 @@
-"""Episode to disk: one rosbag2 directory (metadata version 8 and one MCAP file), which appears whole."""
+"""Episode to disk: one rosbag2 directory (metadata version 8 and one MCAP file), which appears
+whole.
+"""
 
 import os
 import shutil
@@ -18,10 +20,12 @@ LIBRARY = "3d-oes"
 
 
 def write_episode(episode: Episode, frames: Iterable[Frames], folder: Path) -> None:
-    """Write ``episode`` and the images of its steps (one Frames a step, drawn one at a time) as ``folder``.
+    """Write ``episode`` and the images of its steps (one Frames a step, drawn one at a time) as
+    ``folder``.
 
-    The folder is written beside its place and renamed; the same input gives the same bytes. Depth is kept in whole
-    millimetres. Raises ValueError where frames and steps do not match, FileExistsError where ``folder`` exists.
+    The folder is written beside its place and renamed; the same input gives the same bytes. Depth
+    is kept in whole millimetres. Raises ValueError where frames and steps do not match,
+    FileExistsError where ``folder`` exists.
     """
     if folder.exists():
         raise FileExistsError(f"{folder} exists")
@@ -36,8 +40,12 @@ def write_episode(episode: Episode, frames: Iterable[Frames], folder: Path) -> N
         shutil.rmtree(aside, ignore_errors=True)
 
 
-def _write_bag(episode: Episode, frames: Iterable[Frames], names: tuple[str, ...], aside: Path, bag_name: str) -> None:
-    """The two files of a rosbag2 directory: states first, then what viewers draw, then images state by state."""
+def _write_bag(
+    episode: Episode, frames: Iterable[Frames], names: tuple[str, ...], aside: Path, bag_name: str
+) -> None:
+    """The two files of a rosbag2 directory: states first, then what viewers draw, then images state
+    by state.
+    """
     with (aside / bag_name).open("wb") as file:
         writer = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
         bag = _BagWriter(writer, {topic: topic_type(topic) for topic in topics_of(names)})
@@ -57,8 +65,13 @@ class _BagWriter:
         self._writer = writer
         self._types = types
         names = dict.fromkeys(types.values())
-        schema_ids = {name: writer.register_schema(name, "ros2msg", definition(name).encode()) for name in names}
-        self._channels = {topic: self._register(topic, name, schema_ids[name]) for topic, name in types.items()}
+        schema_ids = {
+            name: writer.register_schema(name, "ros2msg", definition(name).encode())
+            for name in names
+        }
+        self._channels = {
+            topic: self._register(topic, name, schema_ids[name]) for topic, name in types.items()
+        }
         self._counts = dict.fromkeys(types, 0)
         self._stamps_ns: list[int] = []
 
@@ -89,10 +102,14 @@ class _BagWriter:
 def _camera_names(episode: Episode) -> tuple[str, ...]:
     """The names of the cameras. Raises ValueError where they repeat or differ between steps."""
     names = tuple(camera.name for camera in episode.steps[0].cameras)
-    if len(set(names)) != len(names) or any(tuple(c.name for c in step.cameras) != names for step in episode.steps):
+    if len(set(names)) != len(names) or any(
+        tuple(c.name for c in step.cameras) != names for step in episode.steps
+    ):
         raise ValueError("every step needs the same cameras, each with a name of its own")
     if len(episode.actions_T3) != len(episode.steps) - 1:
         raise ValueError(f"{len(episode.actions_T3)} actions for {len(episode.steps)} states")
-    if [stamp_of(step) for step in episode.steps] != sorted({stamp_of(step) for step in episode.steps}):
+    if [stamp_of(step) for step in episode.steps] != sorted(
+        {stamp_of(step) for step in episode.steps}
+    ):
         raise ValueError("the times of the states do not rise")
     return names

@@ -5,22 +5,26 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.compiled import compiled
 from oes.episode import Floats
+from oes.jit import jit
 from oes.render.raster import Ints
 
-SMOOTH_COSINE = float(np.cos(np.radians(40)))  # faces that meet at a smaller angle are shaded as one surface
+SMOOTH_COSINE = float(
+    np.cos(np.radians(40))
+)  # faces that meet at a smaller angle are shaded as one surface
 MERGE_M = 1e-5
 
 
 def normal_maps(vertices_P3: NDArray[np.float32], faces_F3: Ints) -> Floats:
-    """F44: rows 0 to 2, the affine map from a point of a face (obj frame) to its shading normal there (obj frame, any
-    length); row 3, the face's own normal (any length).
+    """F44: rows 0 to 2, the affine map from a point of a face (obj frame) to its shading normal
+    there (obj frame, any length); row 3, the face's own normal (any length).
 
-    A corner's normal is the mean of the faces around its vertex that meet smoothly, weighted by area; over the
-    face it is interpolated linearly. Vertices within ``MERGE_M`` count as one.
+    A corner's normal is the mean of the faces around its vertex that meet smoothly, weighted by
+    area; over the face it is interpolated linearly. Vertices within ``MERGE_M`` count as one.
     """
-    return _cached_maps(vertices_P3.astype(np.float32).tobytes(), faces_F3.astype(np.int32).tobytes())
+    return _cached_maps(
+        vertices_P3.astype(np.float32).tobytes(), faces_F3.astype(np.int32).tobytes()
+    )
 
 
 @lru_cache(maxsize=64)
@@ -47,11 +51,16 @@ def _merge(vertices_P3: Floats) -> NDArray[np.int64]:
     return np.unique(keys_P, return_inverse=True)[1]
 
 
-@compiled
+@jit
 def corner_normals(
-    area_F3: Floats, corner_face: NDArray[np.int64], corner_i: NDArray[np.int64], starts: NDArray[np.int64]
+    area_F3: Floats,
+    corner_face: NDArray[np.int64],
+    corner_i: NDArray[np.int64],
+    starts: NDArray[np.int64],
 ) -> Floats:
-    """Mean unit normal of every corner (F33); ``corner_*`` list the corners vertex by vertex from ``starts``."""
+    """Mean unit normal of every corner (F33); ``corner_*`` list the corners vertex by vertex from
+    ``starts``.
+    """
     normal_F33 = np.zeros((len(area_F3), 3, 3))
     length_F = np.sqrt((area_F3 * area_F3).sum(axis=1))
     for vertex_i in range(len(starts) - 1):
@@ -74,8 +83,12 @@ def corner_normals(
     return normal_F33
 
 
-def _interpolation(a_F3: Floats, ab_F3: Floats, ac_F3: Floats, area_F3: Floats, normal_F33: Floats) -> Floats:
-    """Maps that take a, b and c of each face to its corners' normals; constant on faces without area."""
+def _interpolation(
+    a_F3: Floats, ab_F3: Floats, ac_F3: Floats, area_F3: Floats, normal_F33: Floats
+) -> Floats:
+    """Maps that take a, b and c of each face to its corners' normals; constant on faces without
+    area.
+    """
     squared_F1 = (area_F3**2).sum(axis=1, keepdims=True)
     safe_F1 = np.where(squared_F1 > 0, squared_F1, np.inf)
     to_b_F3 = np.cross(ac_F3, area_F3) / safe_F1  # the weight of b grows by this per metre

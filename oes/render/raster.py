@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.compiled import compiled
 from oes.episode import Floats
+from oes.jit import jit
 
 Ints = NDArray[np.int32]
 Indices = NDArray[np.uint32]
@@ -14,15 +14,22 @@ EDGE_SLACK = 1e-9  # barycentric; keeps a pixel centre that lies exactly on a sh
 BEHIND = -1  # cell of a vertex nearer than NEAR_M
 
 
-@compiled
+@jit
 def project_vertices(
-    vertices_P3: Floats, start_M: Ints, cam_T_mesh_M44: Floats, K_33: Floats, height: int, width: int
+    vertices_P3: Floats,
+    start_M: Ints,
+    cam_T_mesh_M44: Floats,
+    K_33: Floats,
+    height: int,
+    width: int,
 ) -> tuple[Floats, Floats, Ints]:
-    """Vertices in cam (P3, metres), in the image (P3: u - 1/2, v - 1/2, 1/z) and their cells (P2: column, row).
+    """Vertices in cam (P3, metres), in the image (P3: u - 1/2, v - 1/2, 1/z) and their cells (P2:
+    column, row).
 
-    ``start_M`` (M + 1 entries) are the rows at which each mesh's vertices start. A cell is the first pixel centre at or
-    beyond the vertex, clipped to 0..width and 0..height, so that a triangle whose cells all agree in column or in row
-    covers no pixel centre. A vertex nearer than ``NEAR_M`` has 1/z = 0 and the cell ``BEHIND``.
+    ``start_M`` (M + 1 entries) are the rows at which each mesh's vertices start. A cell is the
+    first pixel centre at or beyond the vertex, clipped to 0..width and 0..height, so that a
+    triangle whose cells all agree in column or in row covers no pixel centre. A vertex nearer than
+    ``NEAR_M`` has 1/z = 0 and the cell ``BEHIND``.
     """
     cam_P3 = np.empty_like(vertices_P3)
     pix_P3 = np.zeros_like(vertices_P3)
@@ -45,9 +52,10 @@ def project_vertices(
     return cam_P3, pix_P3, cell_P2
 
 
-@compiled
+@jit
 def covering_faces(cell_P2: Ints, faces_F3: Indices) -> tuple[Indices, Indices]:
-    """Triangles whose box of pixels is not empty (most of a robot's or a mug's are smaller than a pixel).
+    """Triangles whose box of pixels is not empty (most of a robot's or a mug's are smaller than a
+    pixel).
 
     Returns those wholly before the camera, and those that cross the near plane.
     """
@@ -60,15 +68,22 @@ def covering_faces(cell_P2: Ints, faces_F3: Indices) -> tuple[Indices, Indices]:
         rows = (cell_P2[a, 1] ^ cell_P2[b, 1]) | (cell_P2[b, 1] ^ cell_P2[c, 1])
         is_behind = (cell_P2[a, 0] | cell_P2[b, 0] | cell_P2[c, 0]) < 0
         is_covering = (columns != 0) & (rows != 0)
-        chosen_F[num_chosen] = crossing_F[num_crossing] = face_i  # kept only if counted: no branch to mispredict
+        chosen_F[num_chosen] = crossing_F[num_crossing] = (
+            face_i  # kept only if counted: no branch to mispredict
+        )
         num_chosen += is_covering & (not is_behind)
         num_crossing += is_covering & is_behind
     return chosen_F[:num_chosen], crossing_F[:num_crossing]
 
 
-@compiled
+@jit
 def fill_triangles(
-    pix_P3: Floats, cell_P2: Ints, faces_F3: Indices, chosen_F: Indices, nearness_HW: Floats, face_HW: Ints
+    pix_P3: Floats,
+    cell_P2: Ints,
+    faces_F3: Indices,
+    chosen_F: Indices,
+    nearness_HW: Floats,
+    face_HW: Ints,
 ) -> None:
     """Draw triangles that lie wholly before the camera; weights and 1/z are affine in the image.
 
@@ -101,12 +116,16 @@ def fill_triangles(
                         face_HW[row, column] = face_i
 
 
-@compiled
+@jit
 def fill_crossing(
     cam_P3: Floats, K_33: Floats, faces_F3: Indices, face_i: int, nearness_HW: Floats, face_HW: Ints
 ) -> None:
     """Draw one triangle that crosses the near plane: every pixel's ray meets it or not."""
-    a_3, b_3, c_3 = cam_P3[faces_F3[face_i, 0]], cam_P3[faces_F3[face_i, 1]], cam_P3[faces_F3[face_i, 2]]
+    a_3, b_3, c_3 = (
+        cam_P3[faces_F3[face_i, 0]],
+        cam_P3[faces_F3[face_i, 1]],
+        cam_P3[faces_F3[face_i, 2]],
+    )
     to_a, to_b, to_c = np.cross(b_3, c_3), np.cross(c_3, a_3), np.cross(a_3, b_3)
     volume = np.dot(a_3, to_a)
     if volume == 0.0:
@@ -119,20 +138,33 @@ def fill_crossing(
             b = (to_b[0] * x + to_b[1] * y + to_b[2]) / volume
             c = (to_c[0] * x + to_c[1] * y + to_c[2]) / volume
             nearness = a + b + c
-            if min(a, b, c) >= -EDGE_SLACK * nearness and nearness_HW[row, column] < nearness <= 1.0 / NEAR_M:
+            if (
+                min(a, b, c) >= -EDGE_SLACK * nearness
+                and nearness_HW[row, column] < nearness <= 1.0 / NEAR_M
+            ):
                 nearness_HW[row, column] = nearness
                 face_HW[row, column] = face_i
 
 
-@compiled
+@jit
 def rasterise(
-    vertices_P3: Floats, start_M: Ints, faces_F3: Indices, cam_T_mesh_M44: Floats, K_33: Floats, height: int, width: int
+    vertices_P3: Floats,
+    start_M: Ints,
+    faces_F3: Indices,
+    cam_T_mesh_M44: Floats,
+    K_33: Floats,
+    height: int,
+    width: int,
 ) -> tuple[Floats, Ints]:
-    """Depth z of the nearest surface at every pixel centre (HW, 0 = nothing) and its triangle (HW, -1 = nothing).
+    """Depth z of the nearest surface at every pixel centre (HW, 0 = nothing) and its triangle (HW,
+    -1 = nothing).
 
-    Triangles are two-sided; what is nearer than ``NEAR_M`` is not drawn, and a triangle without area never is.
+    Triangles are two-sided; what is nearer than ``NEAR_M`` is not drawn, and a triangle without
+    area never is.
     """
-    cam_P3, pix_P3, cell_P2 = project_vertices(vertices_P3, start_M, cam_T_mesh_M44, K_33, height, width)
+    cam_P3, pix_P3, cell_P2 = project_vertices(
+        vertices_P3, start_M, cam_T_mesh_M44, K_33, height, width
+    )
     nearness_HW = np.zeros((height, width))
     face_HW = np.full((height, width), -1, dtype=np.int32)
     chosen_F, crossing_F = covering_faces(cell_P2, faces_F3)

@@ -1,4 +1,6 @@
-"""What the renderer draws: triangle meshes, each with its segmentation id, its pose's index and its colouring."""
+"""What the renderer draws: triangle meshes, each with its segmentation id, its pose's index and its
+colouring.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,8 +21,9 @@ if TYPE_CHECKING:
 class RenderMesh:
     """One rigid triangle mesh in its own frame (metres).
 
-    ``pose_i`` is its row in the poses given to ``Renderer.render``. It is coloured ``rgb_3`` (0..1), or, where
-    ``texture_seed`` is set, by the procedural texture of that seed; the table by its own fixed one.
+    ``pose_i`` is its row in the poses given to ``Renderer.render``. It is coloured ``rgb_3``
+    (0..1), or, where ``texture_seed`` is set, by the procedural texture of that seed; the table by
+    its own fixed one.
     """
 
     vertices_P3: NDArray[np.float32]
@@ -32,7 +35,9 @@ class RenderMesh:
 
 
 def table_mesh(size_m_3: Floats) -> RenderMesh:
-    """The table: a box whose top lies at z = 0, centred on the world's origin; its pose is row 0."""
+    """The table: a box whose top lies at z = 0, centred on the world's origin; its pose is row
+    0.
+    """
     box = trimesh.creation.box(extents=size_m_3)
     box.apply_translation([0.0, 0.0, -size_m_3[2] / 2])
     return _mesh(box.vertices, box.faces, SEG_TABLE, 0, np.full(3, 0.6), None)
@@ -55,18 +60,32 @@ def scene_meshes(
         vertices = visual.vertices * body.scale_3
         pose_i = 1 + len(links) + body_i
         objects.append(
-            _mesh(vertices, visual.faces, SEG_FIRST_OBJECT + body_i, pose_i, np.full(3, 0.5), body.texture_seed)
+            _mesh(
+                vertices,
+                visual.faces,
+                SEG_FIRST_OBJECT + body_i,
+                pose_i,
+                np.full(3, 0.5),
+                body.texture_seed,
+            )
         )
     return [table_mesh(table_size_m_3), *links, *objects]
 
 
 def mesh_poses(step: Step) -> Floats:
-    """``world_T_mesh_M44`` of a state, in the order of ``scene_meshes``: the table, the links, the objects."""
+    """``world_T_mesh_M44`` of a state, in the order of ``scene_meshes``: the table, the links, the
+    objects.
+    """
     return np.concatenate([np.eye(4)[None], step.world_T_link_L44, step.world_T_obj_N44])
 
 
 def _mesh(
-    vertices: Floats, faces: NDArray[np.int32], seg_id: int, pose_i: int, rgb: Floats, texture_seed: int | None
+    vertices: Floats,
+    faces: NDArray[np.int32],
+    seg_id: int,
+    pose_i: int,
+    rgb: Floats,
+    texture_seed: int | None,
 ) -> RenderMesh:
     return RenderMesh(
         vertices_P3=np.ascontiguousarray(vertices, dtype=np.float32),

@@ -1,16 +1,22 @@
-"""Deferred shading: the colour of every pixel from the triangle it sees, compiled; a sky where it sees none."""
+"""Deferred shading: the colour of every pixel from the triangle it sees, compiled; a sky where it
+sees none.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.compiled import compiled
 from oes.episode import Floats
+from oes.jit import jit
 from oes.render.raster import Ints
 
 PLAIN, CHECKER, STRIPES, NOISE, GRADIENT, WOOD = 0, 1, 2, 3, 4, 5
 
 TO_LAMP_3 = np.array([0.42, -0.38, 0.82])
-AMBIENT, SKY_LIGHT, LAMP_LIGHT = 0.41, 0.11, 0.55  # everywhere; more from above, less from below; from the lamp
+AMBIENT, SKY_LIGHT, LAMP_LIGHT = (
+    0.41,
+    0.11,
+    0.55,
+)  # everywhere; more from above, less from below; from the lamp
 HORIZON_RGB_3, ZENITH_RGB_3 = np.array([0.90, 0.92, 0.94]), np.array([0.62, 0.70, 0.80])
 LATTICE_SIZE = 4096
 LATTICE = np.random.default_rng(0).random(LATTICE_SIZE)
@@ -18,15 +24,17 @@ PLANKS_PER_M, GRAINS_PER_M, GRAIN_ASPECT = 1 / 0.15, 1 / 0.012, 1 / 12
 GRID_M, LINE_M = 0.10, 0.003
 
 
-@compiled
+@jit
 def lattice_value(x: int, y: int, z: int) -> float:
     """A fixed pseudo-random number in 0..1 at a lattice point."""
     return float(LATTICE[((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (LATTICE_SIZE - 1)])
 
 
-@compiled
+@jit
 def plane_noise(x: float, y: float, z: int) -> float:
-    """Smooth noise in 0..1 over x and y, another for every z: lattice values blended by smoothstep."""
+    """Smooth noise in 0..1 over x and y, another for every z: lattice values blended by
+    smoothstep.
+    """
     i, j = int(np.floor(x)), int(np.floor(y))
     u, v = x - i, y - j
     u, v = u * u * (3 - 2 * u), v * v * (3 - 2 * v)
@@ -35,7 +43,7 @@ def plane_noise(x: float, y: float, z: int) -> float:
     return front * (1 - v) + back * v
 
 
-@compiled
+@jit
 def value_noise(x: float, y: float, z: float) -> float:
     """Smooth noise in 0..1 over space."""
     k = int(np.floor(z))
@@ -44,7 +52,7 @@ def value_noise(x: float, y: float, z: float) -> float:
     return plane_noise(x, y, k) * (1 - w) + plane_noise(x, y, k + 1) * w
 
 
-@compiled
+@jit
 def soft_square(x: float, softness: float) -> float:
     """A square wave of period 2 between -1 and 1 whose edges are ``softness`` wide."""
     phase = x - 2.0 * np.floor(x * 0.5)
@@ -52,7 +60,7 @@ def soft_square(x: float, softness: float) -> float:
     return float(max(-1.0, min(1.0, 2.0 * edge / softness)))
 
 
-@compiled
+@jit
 def wood(x: float, y: float, pixel_m: float) -> float:
     """The table: planks along x with a faint grain, and a thin grid every ``GRID_M``."""
     plank = int(np.floor(y * PLANKS_PER_M))
@@ -66,15 +74,19 @@ def wood(x: float, y: float, pixel_m: float) -> float:
     return float(tone + grain + 0.5 * cover)
 
 
-@compiled
+@jit
 def blend(kind: int, x: float, y: float, z: float, softness: float) -> float:
-    """Share 0..1 of the second colour at a point in units of a cell; ``softness`` is a pixel's width in cells."""
+    """Share 0..1 of the second colour at a point in units of a cell; ``softness`` is a pixel's
+    width in cells.
+    """
     if kind == WOOD:
         return wood(x, y, softness)
     if kind == STRIPES:
         return 0.5 + 0.5 * soft_square(x, softness)
     if kind == CHECKER:
-        return 0.5 + 0.5 * soft_square(x, softness) * soft_square(y, softness) * soft_square(z, softness)
+        return 0.5 + 0.5 * soft_square(x, softness) * soft_square(y, softness) * soft_square(
+            z, softness
+        )
     if kind == NOISE:
         return max(0.0, min(1.0, 0.5 + 2.5 * (value_noise(x, y, z) - 0.5)))
     if kind == GRADIENT:
@@ -82,7 +94,7 @@ def blend(kind: int, x: float, y: float, z: float, softness: float) -> float:
     return 0.0
 
 
-@compiled
+@jit
 def lights(world_T_obj_M44: Floats) -> Floats:
     """The direction to the lamp (row 0) and up (row 1) in every mesh's frame (M23)."""
     lights_M23 = np.empty((len(world_T_obj_M44), 2, 3))
@@ -95,7 +107,7 @@ def lights(world_T_obj_M44: Floats) -> Floats:
     return lights_M23
 
 
-@compiled
+@jit
 def lit_points(
     depth_m_HW: Floats,
     face_HW: Ints,
@@ -105,9 +117,11 @@ def lit_points(
     lights_M23: Floats,
     K_33: Floats,
 ) -> Floats:
-    """The point that every pixel sees, in its mesh's own frame, and how brightly it is lit (HW4: x, y, z, brightness).
+    """The point that every pixel sees, in its mesh's own frame, and how brightly it is lit (HW4: x,
+    y, z, brightness).
 
-    ``normal_F44`` are ``normals.normal_maps``, ``lights_M23`` those of ``lights``; the side that is seen is lit.
+    ``normal_F44`` are ``normals.normal_maps``, ``lights_M23`` those of ``lights``; the side that is
+    seen is lit.
     """
     height, width = face_HW.shape
     lit_HW4 = np.empty((height, width, 4))
@@ -120,7 +134,10 @@ def lit_points(
             if f < 0:
                 continue
             m, depth = mesh_F[f], depth_m_HW[row, column]
-            x_cam, y_cam = (column + 0.5 - K_33[0, 2] - skew * ray_y) * rays_per_px * depth, ray_y * depth
+            x_cam, y_cam = (
+                (column + 0.5 - K_33[0, 2] - skew * ray_y) * rays_per_px * depth,
+                ray_y * depth,
+            )
             way_x = T[m, 0, 0] * x_cam + T[m, 0, 1] * y_cam + T[m, 0, 2] * depth
             way_y = T[m, 1, 0] * x_cam + T[m, 1, 1] * y_cam + T[m, 1, 2] * depth
             way_z = T[m, 2, 0] * x_cam + T[m, 2, 1] * y_cam + T[m, 2, 2] * depth
@@ -138,7 +155,7 @@ def lit_points(
     return lit_HW4
 
 
-@compiled
+@jit
 def colour(
     lit_HW4: Floats,
     depth_m_HW: Floats,
@@ -151,7 +168,9 @@ def colour(
     cell_T_obj_M34: Floats,
     rgb_HW3: NDArray[np.uint8],
 ) -> None:
-    """Paint every pixel that sees a face (``face_HW`` >= 0) with its mesh's texture, as bright as it is lit."""
+    """Paint every pixel that sees a face (``face_HW`` >= 0) with its mesh's texture, as bright as
+    it is lit.
+    """
     T, C = cell_T_obj_M34, rgb_M23
     for row in range(face_HW.shape[0]):
         for column in range(face_HW.shape[1]):
@@ -174,7 +193,7 @@ def colour(
                 rgb_HW3[row, column, i] = int(min(255.0, value) + 0.5)
 
 
-@compiled
+@jit
 def sky(world_T_cam_44: Floats, K_33: Floats, height: int, width: int) -> NDArray[np.uint8]:
     """RGB (HW3) of what lies behind everything: paler towards the horizon."""
     rgb_HW3 = np.empty((height, width, 3), dtype=np.uint8)

@@ -29,7 +29,8 @@ SHEET = "contact_sheet.png"
 def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> None:
     """Write every table, figure, film, the weights, metrics.json and both pages into ``out``.
 
-    Raises RowsError for rows that cannot be read, FileNotFoundError for a stage's file that is not there.
+    Raises RowsError for rows that cannot be read, FileNotFoundError for a stage's file that is not
+    there.
     """
     found = read_findings(cfg, inputs, seeds)
     out.mkdir(parents=True, exist_ok=True)
@@ -39,20 +40,32 @@ def build(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], out: Path) -> N
     figures, films = _figures(found, inputs, out), _films(found, cfg, inputs, out)
     copy_models(inputs.perception, inputs.dynamics, out / "models")
     write_json(_tree(found, cfg), out / "metrics.json")
-    opening = [text for each in found.chapters.values() for text in (headline(each.found, VARIED, LAST), each.line)]
+    opening = [
+        text
+        for each in found.chapters.values()
+        for text in (headline(each.found, VARIED, LAST), each.line)
+    ]
     write_page(out / "README.md", opening, tables, figures, films)
-    write_site(out / "index.html", [found.line], facts(found), tables, (figures, films), found.machine)
+    write_site(
+        out / "index.html", [found.line], facts(found), tables, (figures, films), found.machine
+    )
 
 
 def facts(found: Findings) -> list[Fact]:
     """The numbers that the study is known by."""
     numbers = [
-        Fact(f"{ratio[0]:.2f}", f"{task}: error of 3D-OES over that of graph-XYZ, T = {LAST}, one view")
+        Fact(
+            f"{ratio[0]:.2f}",
+            f"{task}: error of 3D-OES over that of graph-XYZ, T = {LAST}, one view",
+        )
         for task, chapter in found.chapters.items()
         if (ratio := chapter.found.ratios.get((VARIED, "translation_mm", LAST)))
     ]
     numbers += [
-        Fact(f"{chapter.detector[views_key(1)]['ap_50']:.2f}", f"{task}: AP at IoU 0.5 of novel objects, one view")
+        Fact(
+            f"{chapter.detector[views_key(1)]['ap_50']:.2f}",
+            f"{task}: AP at IoU 0.5 of novel objects, one view",
+        )
         for task, chapter in found.chapters.items()
     ]
     return numbers + [
@@ -69,9 +82,16 @@ def facts(found: Findings) -> list[Fact]:
 def _tables(found: Findings, cfg: Tables) -> list[Table]:
     line = found.line
     return [
-        *(table for chapter in found.chapters.values() for table in forecast_tables(chapter.found, [chapter.line])),
+        *(
+            table
+            for chapter in found.chapters.values()
+            for table in forecast_tables(chapter.found, [chapter.line])
+        ),
         *surface_tables(found.chapters, cfg.seed, (line,)),
-        *(trials_table(each, _table3(name, cfg), name, (line,)) for name, each in found.control.items()),
+        *(
+            trials_table(each, _table3(name, cfg), name, (line,))
+            for name, each in found.control.items()
+        ),
         *(_detector_table(chapter) for chapter in found.chapters.values()),
         view_table(found.views, (line,)),
         *([video_table(found.video, (line,))] if found.video else []),
@@ -99,10 +119,16 @@ def _films(found: Findings, cfg: Tables, inputs: Inputs, out: Path) -> dict[str,
     """All films, by what they show."""
     folder = out / "films"
     return {
-        "Forecasts": [name for task in found.chapters for name in forecast_films(inputs.rollouts, task, folder)],
+        "Forecasts": [
+            name
+            for task in found.chapters
+            for name in forecast_films(inputs.rollouts, task, folder)
+        ],
         "Imagined from three sides": copy_side_films(found.futures, inputs.futures, folder),
         **{
-            f"Trials {SCENARIOS.get(name, name)}": copy_films(inputs.trials, found.trials, name, OURS, folder)
+            f"Trials {SCENARIOS.get(name, name)}": copy_films(
+                inputs.trials, found.trials, name, OURS, folder
+            )
             for name in cfg.scenarios
         },
     }
@@ -112,7 +138,11 @@ def _tree(found: Findings, cfg: Tables) -> dict[str, object]:
     return {
         "profile": cfg.profile,
         "machine": found.machine,
-        **{key: value for chapter in found.chapters.values() for key, value in _chapter_tree(chapter).items()},
+        **{
+            key: value
+            for chapter in found.chapters.values()
+            for key, value in _chapter_tree(chapter).items()
+        },
         "mpc": {scenario: trials_tree(each) for scenario, each in found.control.items()},
         **({"video": found.video} if found.video else {}),
         **({"futures": futures_tree(found.futures)} if found.futures else {}),

@@ -1,4 +1,6 @@
-"""What reports/ keeps beside tables: the weights of the trained models, the contact sheet, some films."""
+"""What reports/ keeps beside tables: the weights of the trained models, the contact sheet, some
+films.
+"""
 
 import shutil
 from itertools import product
@@ -10,7 +12,7 @@ from safetensors.numpy import save
 
 from oes.report.names import VARIANTS
 from oes.report.rows import Columns, select
-from oes.weights import ordered
+from oes.training.tensor_io import ordered
 
 LARGE_BYTES = 500_000
 FILMS = 2  # of successes and of failures each
@@ -21,7 +23,9 @@ class WeightsError(ValueError):
 
 
 def copy_half(source: Path, target: Path) -> None:
-    """Weights in half precision (float32 tensors only), with the same metadata: half the bytes in git."""
+    """Weights in half precision (float32 tensors only), with the same metadata: half the bytes in
+    git.
+    """
     try:
         with safe_open(source, framework="np") as file:
             about = file.metadata()
@@ -29,8 +33,15 @@ def copy_half(source: Path, target: Path) -> None:
     except (SafetensorError, OSError) as error:
         raise WeightsError(f"{source}: not a readable safetensors file: {error}") from error
     with np.errstate(over="ignore"):
-        halved = {name: x.astype(np.float16) if x.dtype == np.float32 else x for name, x in tensors.items()}
-    overflown = [name for name, value in halved.items() if value.dtype == np.float16 and not np.isfinite(value).all()]
+        halved = {
+            name: x.astype(np.float16) if x.dtype == np.float32 else x
+            for name, x in tensors.items()
+        }
+    overflown = [
+        name
+        for name, value in halved.items()
+        if value.dtype == np.float16 and not np.isfinite(value).all()
+    ]
     if overflown:
         raise WeightsError(f"{source}: does not fit half precision: {', '.join(overflown)}")
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -42,12 +53,19 @@ def _is_variant(folder: str) -> bool:
 
 
 def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
-    """``perception/`` and ``dynamics/<task>-<model>/``, but for ablations; what is large, in half precision.
+    """``perception/`` and ``dynamics/<task>-<model>/``, but for ablations; what is large, in half
+    precision.
 
     Raises FileNotFoundError when there is no dynamics model.
     """
-    copy_half(perception / "perception.safetensors", folder / "perception" / "perception.safetensors")
-    models = [path for path in sorted(dynamics.glob("*/model.safetensors")) if not _is_variant(path.parent.name)]
+    copy_half(
+        perception / "perception.safetensors", folder / "perception" / "perception.safetensors"
+    )
+    models = [
+        path
+        for path in sorted(dynamics.glob("*/model.safetensors"))
+        if not _is_variant(path.parent.name)
+    ]
     if not models:
         raise FileNotFoundError(f"{dynamics}: holds no model.safetensors in any folder")
     for source in models:

@@ -1,4 +1,6 @@
-"""What completed surfaces are worth: the model ``contact`` over the others, and what each part of it adds."""
+"""What completed surfaces are worth: the model ``contact`` over the others, and what each part of
+it adds.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -36,24 +38,43 @@ def surface_ratios(rows: Columns, seed: int) -> Ratios:
 
 def ratio_table(found: Mapping[str, Ratios], notes: tuple[str, ...]) -> Table:
     """One line a task, other model and metric; ``found`` by task."""
-    keys = [(task, other, metric) for task, ratios in found.items() for other, metric in _pairs(ratios)]
+    keys = [
+        (task, other, metric) for task, ratios in found.items() for other, metric in _pairs(ratios)
+    ]
     shown = {(task, *key): value for task, ratios in found.items() for key, value in ratios.items()}
     cells = [
-        (task, MODELS[other], METRICS[metric], *(_cell(shown.get((task, other, metric, T))) for T in HORIZONS))
+        (
+            task,
+            MODELS[other],
+            METRICS[metric],
+            *(_cell(shown.get((task, other, metric, T))) for T in HORIZONS),
+        )
         for task, other, metric in keys
     ]
     records = [
-        {"task": task, "over": other, "metric": metric, "T": T, "ratio": mean, "low": low, "high": high}
+        {
+            "task": task,
+            "over": other,
+            "metric": metric,
+            "T": T,
+            "ratio": mean,
+            "low": low,
+            "high": high,
+        }
         for (task, other, metric, T), values in shown.items()
         for mean, low, high in [tuple(round(value, 4) for value in values)]
     ]
     header = ("task", "over", "error", *(f"T={T}" for T in HORIZONS))
     caption = f"{MODELS[SURFACES]}: its error over that of others"
-    return Table("contact-ratios", caption, header, tuple(cells), tuple(records), (RATIO_NOTE, *notes))
+    return Table(
+        "contact-ratios", caption, header, tuple(cells), tuple(records), (RATIO_NOTE, *notes)
+    )
 
 
 def ablations(rows: Columns, seed: int) -> tuple[list[Line], Ratios]:
-    """Lines of the models to compare, all objects, and ratios of variants to ``contact``, of rows of one setting."""
+    """Lines of the models to compare, all objects, and ratios of variants to ``contact``, of rows
+    of one setting.
+    """
     words = [OURS, SURFACES, *VARIANTS]
     chosen = kept(rows, np.isin(rows["model"], np.array(words, dtype=np.str_)))
     found = [line for line in lines([Group("", "", chosen, {})], seed) if line.objects == "all"]
@@ -80,14 +101,31 @@ def ablation_table(found: Sequence[Line], ratios: Ratios, notes: tuple[str, ...]
         for line in found
     )
     records = tuple(
-        {"model": line.model, "metric": line.metric, "T": T, "mean": round(mean, 4), "low": round(low, 4)}
+        {
+            "model": line.model,
+            "metric": line.metric,
+            "T": T,
+            "mean": round(mean, 4),
+            "low": round(low, 4),
+        }
         | {"high": round(high, 4), "n": line.n}
         for line in found
         for T, (mean, low, high) in line.at.items()
     )
-    header = ("model", "error", *(f"T={T}" for T in HORIZONS), f"over {MODELS[SURFACES]}, T={LAST}", "n")
+    header = (
+        "model",
+        "error",
+        *(f"T={T}" for T in HORIZONS),
+        f"over {MODELS[SURFACES]}, T={LAST}",
+        "n",
+    )
     return Table(
-        "ablations", "What each part of Contact adds, pushing", header, cells, records, (ABLATION_NOTE, *notes)
+        "ablations",
+        "What each part of Contact adds, pushing",
+        header,
+        cells,
+        records,
+        (ABLATION_NOTE, *notes),
     )
 
 

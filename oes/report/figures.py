@@ -1,4 +1,6 @@
-"""Figures, always the same bytes for the same rows: error over time, by objects, by views, and how far things move."""
+"""Figures, always the same bytes for the same rows: error over time, by objects, by views, and how
+far things move.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -26,8 +28,12 @@ STYLE: dict[Any, Any] = {
 PLAIN = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
 
 
-def write_figures(found: Forecasts, displacement_mm: Mapping[int, Sequence[float]], folder: Path) -> dict[str, str]:
-    """A study's figures as PNG and SVG; gives caption by the PNG's path relative to ``folder``'s parent."""
+def write_figures(
+    found: Forecasts, displacement_mm: Mapping[int, Sequence[float]], folder: Path
+) -> dict[str, str]:
+    """A study's figures as PNG and SVG; gives caption by the PNG's path relative to ``folder``'s
+    parent.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     study = found.study
     suffix, task = study.suffix, study.task.capitalize()
@@ -58,12 +64,16 @@ def over_time(rows: Sequence[Line], title: str, path: Path) -> None:
 
 
 def by_group(rows: Sequence[Line], grouped_by: str, T: int, path: Path) -> None:
-    """Error at one T against the number that ``Line.group`` holds (objects or views), a line a model."""
+    """Error at one T against the number that ``Line.group`` holds (objects or views), a line a
+    model.
+    """
     figure, panels = _panels(f"all objects, T = {T}")
     for metric, panel in panels.items():
         chosen = [line for line in _chosen(rows, metric) if T in line.at]
         for model in in_order(line.model for line in chosen):
-            own = sorted((line for line in chosen if line.model == model), key=lambda line: int(line.group))
+            own = sorted(
+                (line for line in chosen if line.model == model), key=lambda line: int(line.group)
+            )
             _draw(panel, model, [int(line.group) for line in own], [line.at[T] for line in own])
         panel.set_xlabel(grouped_by)
         panel.set_xticks(sorted({int(line.group) for line in chosen}))
@@ -109,7 +119,9 @@ def _draw(panel: Axes, model: str, x: Sequence[int], intervals: Sequence[Interva
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """PNG and SVG beside each other, without dates; the legend goes to the first panel that has lines."""
+    """PNG and SVG beside each other, without dates; the legend goes to the first panel that has
+    lines.
+    """
     with mpl.rc_context(STYLE):
         if figure.axes[0].get_legend_handles_labels()[0] and figure.axes[0].get_legend() is None:
             figure.axes[0].legend(fontsize=7)

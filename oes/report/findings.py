@@ -17,13 +17,16 @@ from oes.report.study import STUDIES, Forecasts, forecasts
 from oes.report.trials import Outcome, outcomes
 from oes.report.video import Figures, video_figures
 
-FIRST = STUDIES["pushing"]  # the task of the trials, in whose scenes the prediction of views is measured
+FIRST = STUDIES[
+    "pushing"
+]  # the task of the trials, in whose scenes the prediction of views is measured
 
 
 @params
 class Tables:
-    """The section ``tables``: seed of the bootstrap, name of the profile, tasks (pushing among them) and control
-    scenarios in their order."""
+    """The section ``tables``: seed of the bootstrap, name of the profile, tasks (pushing among
+    them) and control scenarios in their order.
+    """
 
     seed: int
     profile: str
@@ -47,8 +50,9 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Chapter:
-    """What is told of one task: forecasts and all rows behind them (those of ablations too), detections and their
-    figures, training episodes, where it all is from."""
+    """What is told of one task: forecasts and all rows behind them (those of ablations too),
+    detections and their figures, training episodes, where it all is from.
+    """
 
     found: Forecasts
     rows: Columns
@@ -58,8 +62,12 @@ class Chapter:
     line: str
 
 
-def read_chapter(task: str, cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], machine: str) -> Chapter:
-    """The chapter of a task. Raises RowsError for rows that cannot be read or are of another task."""
+def read_chapter(
+    task: str, cfg: Tables, inputs: Inputs, seeds: Mapping[str, int], machine: str
+) -> Chapter:
+    """The chapter of a task. Raises RowsError for rows that cannot be read or are of another
+    task.
+    """
     every = read_columns(sorted(inputs.rollouts.glob(f"{task}-*/errors.csv")), ERRORS)
     found = forecasts(rows := kept(every, ~np.isin(every["model"], list(VARIANTS))), cfg.seed)
     paths = [inputs.objects / f"{task}-{split}" / "detections.csv" for split in found.study.splits]
@@ -97,7 +105,9 @@ def read_findings(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int]) -> Find
         chapters={task: read_chapter(task, cfg, inputs, seeds, machine) for task in cfg.tasks},
         trials=trials,
         control={scenario: outcomes(trials, scenario) for scenario in cfg.scenarios},
-        views=view_figures(read_columns([inputs.objects / f"{FIRST.task}-{FIRST.splits[0]}" / "views.csv"], VIEWS)),
+        views=view_figures(
+            read_columns([inputs.objects / f"{FIRST.task}-{FIRST.splits[0]}" / "views.csv"], VIEWS)
+        ),
         video=video_figures(inputs.dynamics),
         futures=read_futures(inputs.futures, cfg.tasks),
         machine=machine,
@@ -106,4 +116,7 @@ def read_findings(cfg: Tables, inputs: Inputs, seeds: Mapping[str, int]) -> Find
 
 def _counts(rows: Columns) -> dict[str, int]:
     """Test episodes of each split."""
-    return {str(split): len(np.unique(select(rows, split=split)["episode_i"])) for split in np.unique(rows["split"])}
+    return {
+        str(split): len(np.unique(select(rows, split=split)["episode_i"]))
+        for split in np.unique(rows["split"])
+    }

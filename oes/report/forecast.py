@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.measure import bootstrap_mean, bootstrap_ratio
+from oes.metrics.errors import bootstrap_mean, bootstrap_ratio
 from oes.report.names import METRICS, MODELS, in_order
 from oes.report.paper import HORIZONS
 from oes.report.rows import Columns, select
@@ -28,7 +28,9 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Group:
-    """The rows behind one block of a table: its key, how it is called, and the paper's figures for it."""
+    """The rows behind one block of a table: its key, how it is called, and the paper's figures for
+    it.
+    """
 
     key: str
     label: str
@@ -40,9 +42,9 @@ class Group:
 class Line:
     """One model in one group under one metric, over all objects or the moved ones.
 
-    ``at`` maps T to mean and 95% interval (bootstrap over episodes), ``median`` to the median; ``n`` counts objects,
-    ``seen`` and ``diverged`` are the shares of them that were detected, and forecast over 0.3 m off at the last T
-    (the same under every metric).
+    ``at`` maps T to mean and 95% interval (bootstrap over episodes), ``median`` to the median;
+    ``n`` counts objects, ``seen`` and ``diverged`` are the shares of them that were detected, and
+    forecast over 0.3 m off at the last T (the same under every metric).
     """
 
     group: str
@@ -60,7 +62,9 @@ class Line:
 
 
 def lines(groups: Sequence[Group], seed: int) -> list[Line]:
-    """Every model x metric x (all, moved) of every group that has rows; models in the study's order."""
+    """Every model x metric x (all, moved) of every group that has rows; models in the study's
+    order.
+    """
     found = []
     for group in groups:
         for model in in_order(map(str, np.unique(group.rows["model"]))):
@@ -73,36 +77,66 @@ def lines(groups: Sequence[Group], seed: int) -> list[Line]:
     return found
 
 
-def forecast_table(name: str, caption: str, grouped_by: str, found: Sequence[Line], notes: Sequence[str]) -> Table:
-    """Lines as a table: all objects and moved objects side by side, a name only where it changes."""
+def forecast_table(
+    name: str, caption: str, grouped_by: str, found: Sequence[Line], notes: Sequence[str]
+) -> Table:
+    """Lines as a table: all objects and moved objects side by side, a name only where it
+    changes.
+    """
     columns = (*(f"T={T}" for T in HORIZONS), f"median, T={LAST}", "diverged")
-    header = (grouped_by, "model", "error", *columns, "n", "paper", *(f"moved: {each}" for each in columns), "n moved")
+    header = (
+        grouped_by,
+        "model",
+        "error",
+        *columns,
+        "n",
+        "paper",
+        *(f"moved: {each}" for each in columns),
+        "n moved",
+    )
     shown = [line for line in found if line.objects == "all"]
-    moved = {(line.group, line.model, line.metric): line for line in found if line.objects == "moved"}
+    moved = {
+        (line.group, line.model, line.metric): line for line in found if line.objects == "moved"
+    }
     cells = []
     for above, line in zip([None, *shown], shown, strict=False):
         label = line.label if above is None or above.group != line.group else ""
-        model = MODELS.get(line.model, line.model) if label or above is None or above.model != line.model else ""
-        both = _side(line, bool(model)), _side(moved.get((line.group, line.model, line.metric)), bool(model))
+        model = (
+            MODELS.get(line.model, line.model)
+            if label or above is None or above.model != line.model
+            else ""
+        )
+        both = (
+            _side(line, bool(model)),
+            _side(moved.get((line.group, line.model, line.metric)), bool(model)),
+        )
         cells.append((label, model, METRICS[line.metric], *both[0], _printed(line), *both[1]))
     return Table(
         name=name,
         caption=caption,
         header=header,
         cells=tuple(cells),
-        records=tuple(record for line in found for record in _records(line, grouped_by.replace(" ", "_"))),
+        records=tuple(
+            record for line in found for record in _records(line, grouped_by.replace(" ", "_"))
+        ),
         notes=(NOTE, *notes),
     )
 
 
-def ratio(rows: Columns, model: str, against: str, metric: str, T: int, seed: int) -> Interval | None:
-    """Mean error of one model over another's on the same objects, with its paired 95% interval; None without pairs."""
+def ratio(
+    rows: Columns, model: str, against: str, metric: str, T: int, seed: int
+) -> Interval | None:
+    """Mean error of one model over another's on the same objects, with its paired 95% interval;
+    None without pairs.
+    """
     a, b = (_by_object(select(rows, model=name, T=T), metric) for name in (model, against))
     keys = sorted(a.keys() & b.keys())
     if not keys:
         return None
     values = [np.array([side[key] for key in keys]) for side in (a, b)]
-    episodes = np.unique([f"{split}/{episode}" for split, episode, _ in keys], return_inverse=True)[1]
+    episodes = np.unique([f"{split}/{episode}" for split, episode, _ in keys], return_inverse=True)[
+        1
+    ]
     return bootstrap_ratio(values[0], values[1], episodes, seed)
 
 
@@ -133,12 +167,17 @@ def _line(group: Group, model: str, metric: str, objects: str, rows: Columns, se
 
 def _episodes(rows: Columns) -> NDArray[np.int64]:
     """A number for each episode, distinct over splits."""
-    names = [f"{split}/{episode}" for split, episode in zip(rows["split"], rows["episode_i"], strict=True)]
+    names = [
+        f"{split}/{episode}"
+        for split, episode in zip(rows["split"], rows["episode_i"], strict=True)
+    ]
     return np.unique(names, return_inverse=True)[1].astype(np.int64)
 
 
 def _by_object(rows: Columns, metric: str) -> dict[tuple[str, int, int], float]:
-    keys = zip(rows["split"].tolist(), rows["episode_i"].tolist(), rows["object_i"].tolist(), strict=True)
+    keys = zip(
+        rows["split"].tolist(), rows["episode_i"].tolist(), rows["object_i"].tolist(), strict=True
+    )
     return dict(zip(keys, rows[metric].tolist(), strict=True))
 
 

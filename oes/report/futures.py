@@ -1,4 +1,6 @@
-"""Imagined futures: how good they are as pictures, whether all sides agree, and forecasts of changed scenes."""
+"""Imagined futures: how good they are as pictures, whether all sides agree, and forecasts of
+changed scenes.
+"""
 
 import shutil
 from collections.abc import Mapping, Sequence
@@ -8,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from oes.measure import bootstrap_mean
+from oes.metrics.errors import bootstrap_mean
 from oes.report.names import BASELINE, MODELS, OURS, in_order
 from oes.report.rows import Columns, Kind, optional_float, read_columns, select
 from oes.report.table import Table, rounded
@@ -24,10 +26,25 @@ CONSISTENCY: dict[str, Kind] = {
     "source": str,
     **dict.fromkeys(("views_found", "centre_mm", "spread_mm"), optional_float),
 }
-EDITS: dict[str, Kind] = {**_ABOUT, "edit": str, "model": str, "translation_mm": float, "rotation_deg": float}
-FILES = {"renders": (RENDERS, "source"), "consistency": (CONSISTENCY, "source"), "edits": (EDITS, "model")}
+EDITS: dict[str, Kind] = {
+    **_ABOUT,
+    "edit": str,
+    "model": str,
+    "translation_mm": float,
+    "rotation_deg": float,
+}
+FILES = {
+    "renders": (RENDERS, "source"),
+    "consistency": (CONSISTENCY, "source"),
+    "edits": (EDITS, "model"),
+}
 
-SOURCES = {**MODELS, "truth": "true motion", "encoded": "encoded from the future itself", "photograph": "photographs"}
+SOURCES = {
+    **MODELS,
+    "truth": "true motion",
+    "encoded": "encoded from the future itself",
+    "photograph": "photographs",
+}
 KINDS = {
     "none": "as it was",
     "move": "one object moved",
@@ -66,7 +83,11 @@ def read_futures(folder: Path, tasks: Sequence[str]) -> list[Futures]:
     """Those of the tasks that were imagined. Raises RowsError."""
     return [
         Futures(
-            task, {name: read_columns([folder / task / f"{name}.csv"], kinds) for name, (kinds, _) in FILES.items()}
+            task,
+            {
+                name: read_columns([folder / task / f"{name}.csv"], kinds)
+                for name, (kinds, _) in FILES.items()
+            },
         )
         for task in tasks
         if (folder / task).exists()
@@ -78,8 +99,20 @@ def futures_tables(found: Sequence[Futures], seed: int, notes: tuple[str, ...]) 
     if not found:
         return []
     return [
-        _means_table("futures", "Imagined futures as pictures and features", "renders", found, (RENDER_NOTE, *notes)),
-        _means_table("consistency", "Imagined futures seen again", "consistency", found, (CONSISTENCY_NOTE, *notes)),
+        _means_table(
+            "futures",
+            "Imagined futures as pictures and features",
+            "renders",
+            found,
+            (RENDER_NOTE, *notes),
+        ),
+        _means_table(
+            "consistency",
+            "Imagined futures seen again",
+            "consistency",
+            found,
+            (CONSISTENCY_NOTE, *notes),
+        ),
         _edits_table(found, seed, (EDIT_NOTE, *notes)),
     ]
 
@@ -91,7 +124,11 @@ def futures_tree(found: Sequence[Futures]) -> dict[str, Any]:
         edits = each.rows["edits"]
         tree[each.task] = {
             **{name: _tree(each.rows[name], name) for name in ("renders", "consistency")},
-            "edits": {kind: _tree(select(edits, edit=kind), "edits") for kind in KINDS if kind in edits["edit"]},
+            "edits": {
+                kind: _tree(select(edits, edit=kind), "edits")
+                for kind in KINDS
+                if kind in edits["edit"]
+            },
         }
     return tree
 
@@ -117,11 +154,20 @@ def copy_side_films(found: Sequence[Futures], folder: Path, out: Path) -> list[s
     return [f"{out.name}/{target.name}" for _, target in _copied(found, folder, out, "*.mp4")]
 
 
-def _copied(found: Sequence[Futures], folder: Path, out: Path, pattern: str) -> list[tuple[str, Path]]:
+def _copied(
+    found: Sequence[Futures], folder: Path, out: Path, pattern: str
+) -> list[tuple[str, Path]]:
     """Files of the galleries, each with its task."""
     out.mkdir(parents=True, exist_ok=True)
-    pairs = [(each.task, path) for each in found for path in sorted((folder / each.task / "gallery").glob(pattern))]
-    return [(task, Path(shutil.copyfile(path, out / f"imagined-{task}-{path.name}"))) for task, path in pairs]
+    pairs = [
+        (each.task, path)
+        for each in found
+        for path in sorted((folder / each.task / "gallery").glob(pattern))
+    ]
+    return [
+        (task, Path(shutil.copyfile(path, out / f"imagined-{task}-{path.name}")))
+        for task, path in pairs
+    ]
 
 
 def _tree(rows: Columns, name: str) -> dict[str, dict[str, dict[str, float]]]:
@@ -129,17 +175,23 @@ def _tree(rows: Columns, name: str) -> dict[str, dict[str, dict[str, float]]]:
     kinds, key = FILES[name]
     measures = [measure for measure in kinds if measure not in (*_ABOUT, "edit", key)]
     return {
-        str(word): {str(T): _means(select(rows, T=T, **{key: word}), measures) for T in np.unique(rows["T"])}
+        str(word): {
+            str(T): _means(select(rows, T=T, **{key: word}), measures) for T in np.unique(rows["T"])
+        }
         for word in in_order(np.unique(rows[key]).tolist())
     }
 
 
 def _means(rows: Columns, measures: Sequence[str]) -> dict[str, float]:
     values = {name: rows[name][~np.isnan(rows[name])] for name in measures}
-    return {name: float(x.mean()) if len(x) else float("nan") for name, x in values.items()} | {"n": len(rows["T"])}
+    return {name: float(x.mean()) if len(x) else float("nan") for name, x in values.items()} | {
+        "n": len(rows["T"])
+    }
 
 
-def _means_table(name: str, caption: str, file: str, found: Sequence[Futures], notes: tuple[str, ...]) -> Table:
+def _means_table(
+    name: str, caption: str, file: str, found: Sequence[Futures], notes: tuple[str, ...]
+) -> Table:
     """A row per task and source; a cell holds its measure at every T."""
     trees = {each.task: _tree(each.rows[file], file) for each in found}
     at = [(task, word, by_T) for task, tree in trees.items() for word, by_T in tree.items()]
@@ -161,7 +213,10 @@ def _means_table(name: str, caption: str, file: str, found: Sequence[Futures], n
             (
                 task,
                 SOURCES.get(word, word),
-                *(" / ".join(f"{values[m]:.{names[m][1]}f}" for values in by_T.values()) for m in measures),
+                *(
+                    " / ".join(f"{values[m]:.{names[m][1]}f}" for values in by_T.values())
+                    for m in measures
+                ),
                 str(next(iter(by_T.values()))["n"]),
             )
             for task, word, by_T in at
@@ -178,12 +233,20 @@ def _means_table(name: str, caption: str, file: str, found: Sequence[Futures], n
 def _edits_table(found: Sequence[Futures], seed: int, notes: tuple[str, ...]) -> Table:
     """A row per task and kind of change; translation and rotation of every model."""
     cells, records = [], []
-    words = [word for word in ("static", BASELINE, OURS) if any(word in each.rows["edits"]["model"] for each in found)]
+    words = [
+        word
+        for word in ("static", BASELINE, OURS)
+        if any(word in each.rows["edits"]["model"] for each in found)
+    ]
     for each in found:
         rows = select(each.rows["edits"], T=LAST)
         for kind in (kind for kind in KINDS if kind in rows["edit"]):
             here = {word: select(rows, edit=kind, model=word) for word in words}
-            line = [_interval(here[word], name, seed) for name in ("translation_mm", "rotation_deg") for word in words]
+            line = [
+                _interval(here[word], name, seed)
+                for name in ("translation_mm", "rotation_deg")
+                for word in words
+            ]
             cells.append((each.task, KINDS[kind], *line, str(len(here[words[0]]["T"]))))
             records += [
                 {
@@ -194,7 +257,11 @@ def _edits_table(found: Sequence[Futures], seed: int, notes: tuple[str, ...]) ->
                 }
                 for word in words
             ]
-    header = [f"{MODELS[word]}: {unit}" for unit in ("translation (mm)", "rotation (deg)") for word in words]
+    header = [
+        f"{MODELS[word]}: {unit}"
+        for unit in ("translation (mm)", "rotation (deg)")
+        for word in words
+    ]
     return Table(
         name="counterfactuals",
         caption="Forecasts of changed scenes",

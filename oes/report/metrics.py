@@ -15,7 +15,9 @@ Tree = dict[str, Any]
 
 
 def study_tree(found: Forecasts) -> Tree:
-    """The main table under the task's name, the errors by numbers of objects and of views, and the ratio."""
+    """The main table under the task's name, the errors by numbers of objects and of views, and the
+    ratio.
+    """
     study = found.study
     return {
         study.task: forecast_tree(found.main),
@@ -26,7 +28,9 @@ def study_tree(found: Forecasts) -> Tree:
 
 
 def forecast_tree(rows: Sequence[Line]) -> Tree:
-    """group -> model -> means of all objects by metric and T; beside them all else, and the same of moved objects."""
+    """group -> model -> means of all objects by metric and T; beside them all else, and the same of
+    moved objects.
+    """
     tree: Tree = {}
     for line in rows:
         model = tree.setdefault(line.group, {}).setdefault(line.model, {})
@@ -36,7 +40,9 @@ def forecast_tree(rows: Sequence[Line]) -> Tree:
         place.setdefault("interval_95", {})[line.metric] = {
             str(T): [low, high] for T, (_, low, high) in line.at.items()
         }
-        place.setdefault("median", {})[line.metric] = {str(T): median for T, median in line.median.items()}
+        place.setdefault("median", {})[line.metric] = {
+            str(T): median for T, median in line.median.items()
+        }
         place["diverged"] = line.diverged
         if line.objects == "all":
             place["detected_share"] = line.seen
@@ -44,7 +50,9 @@ def forecast_tree(rows: Sequence[Line]) -> Tree:
 
 
 def ratio_tree(ratios: Mapping[tuple[str, str, int], Interval]) -> Tree:
-    """setting -> metric -> T -> ratio and its paired interval, from (setting, metric, T) -> (mean, low, high)."""
+    """setting -> metric -> T -> ratio and its paired interval, from (setting, metric, T) -> (mean,
+    low, high).
+    """
     tree: Tree = {}
     for (setting, metric, T), (mean, low, high) in ratios.items():
         place = tree.setdefault(setting, {}).setdefault(metric, {})
@@ -67,13 +75,19 @@ def trials_tree(found: Sequence[Outcome]) -> Tree:
             "final_mm": outcome.final_mm,
             "did_not_run": outcome.failures,
             **({} if outcome.p_value is None else {"p_value": outcome.p_value}),
-            **({} if outcome.distance_p_value is None else {"distance_p_value": outcome.distance_p_value}),
+            **(
+                {}
+                if outcome.distance_p_value is None
+                else {"distance_p_value": outcome.distance_p_value}
+            ),
         }
     return tree
 
 
 def write_json(tree: Tree, path: Path) -> None:
-    """Strict JSON, keys in the order given; six significant digits, null where there is no finite number."""
+    """Strict JSON, keys in the order given; six significant digits, null where there is no finite
+    number.
+    """
     path.write_text(json.dumps(_plain(tree), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

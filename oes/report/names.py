@@ -62,4 +62,6 @@ COLOURS = {
 def in_order(models: Iterable[str]) -> list[str]:
     """Models of the study in the study's order, then any others by name."""
     order = list(MODELS)
-    return sorted(set(models), key=lambda name: (order.index(name) if name in order else len(order), name))
+    return sorted(
+        set(models), key=lambda name: (order.index(name) if name in order else len(order), name)
+    )

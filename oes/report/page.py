@@ -26,7 +26,9 @@ def write_page(
     figures: Mapping[str, str],
     films: Mapping[str, Sequence[str]],
 ) -> None:
-    """``figures`` maps a picture's path, relative to the page, to what it shows; ``films`` a heading to such paths."""
+    """``figures`` maps a picture's path, relative to the page, to what it shows; ``films`` a
+    heading to such paths.
+    """
     parts = ["# Results", *opening]
     parts += [f"## {table.caption}\n\n{_body(table)}" for table in tables]
     parts.append("## Figures")
@@ -35,7 +37,9 @@ def write_page(
         if names:
             parts.append(f"## {heading}")
             parts += [f"![{Path(name).stem}]({name})" for name in names if name.endswith(".gif")]
-            parts.append("\n".join(f"- [{name}]({name})" for name in names if not name.endswith(".gif")))
+            parts.append(
+                "\n".join(f"- [{name}]({name})" for name in names if not name.endswith(".gif"))
+            )
     path.write_text("\n\n".join(part.rstrip() for part in parts) + "\n", encoding="utf-8")
 
 

@@ -1,4 +1,6 @@
-"""How well perception sees, from its raw rows: detection of novel objects and prediction of unseen views."""
+"""How well perception sees, from its raw rows: detection of novel objects and prediction of unseen
+views.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -6,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from oes.measure import Boxes, average_precision
+from oes.metrics.errors import Boxes, average_precision
 from oes.report.rows import Columns, optional_float, read_columns, select
 from oes.report.table import Table, rounded
 
@@ -15,7 +17,9 @@ DETECTIONS: dict[str, Any] = {
     "episode": int,
     "step": int,
     "num_views": int,
-    **dict.fromkeys(("score", "iou", "mask_iou", "centre_mm", "chamfer_mm", "normal_deg"), optional_float),
+    **dict.fromkeys(
+        ("score", "iou", "mask_iou", "centre_mm", "chamfer_mm", "normal_deg"), optional_float
+    ),
     **dict.fromkeys((*BOX, *(f"true_{name}" for name in BOX)), optional_float),
 }
 VIEWS: dict[str, Any] = {"num_views": int, "psnr_db": float, "ssim": float}
@@ -30,7 +34,9 @@ def views_key(num_views: int) -> str:
 
 
 def read_detections(paths: Sequence[Path]) -> Columns:
-    """The detections of several splits as if of one: the episodes of each are numbered on from the one before."""
+    """The detections of several splits as if of one: the episodes of each are numbered on from the
+    one before.
+    """
     parts = [read_columns([path], DETECTIONS) for path in paths]
     starts = np.cumsum([0, *(part["episode"].max(initial=-1) + 1 for part in parts)])
     episodes = [part["episode"] + start for part, start in zip(parts, starts, strict=False)]
@@ -39,13 +45,20 @@ def read_detections(paths: Sequence[Path]) -> Columns:
 
 
 def detector_figures(rows: Columns) -> dict[str, dict[str, float]]:
-    """For each number of input views: AP at IoU 0.25 and 0.5; of matched detections mask IoU, centre error (mm),
-    Chamfer distance (mm) of the completed surface and the error of its normals (degrees)."""
-    return {views_key(int(count)): _figures(select(rows, num_views=count)) for count in np.unique(rows["num_views"])}
+    """For each number of input views: AP at IoU 0.25 and 0.5; of matched detections mask IoU,
+    centre error (mm), Chamfer distance (mm) of the completed surface and the error of its normals
+    (degrees).
+    """
+    return {
+        views_key(int(count)): _figures(select(rows, num_views=count))
+        for count in np.unique(rows["num_views"])
+    }
 
 
 def view_figures(rows: Columns) -> dict[str, dict[str, float]]:
-    """For each number of input views: mean PSNR (dB), mean SSIM and the number of views predicted."""
+    """For each number of input views: mean PSNR (dB), mean SSIM and the number of views
+    predicted.
+    """
     figures = {}
     for count in np.unique(rows["num_views"]):
         here = rows["num_views"] == count
@@ -106,19 +119,26 @@ def view_table(figures: Mapping[str, Mapping[str, float]], notes: tuple[str, ...
 def _figures(rows: Columns) -> dict[str, float]:
     is_found, is_true = ~np.isnan(rows["x_m"]), ~np.isnan(rows["true_x_m"])
     scene = rows["episode"] * (rows["step"].max() + 1) + rows["step"]
-    found, true = (_boxes(rows, scene, keep, prefix) for keep, prefix in ((is_found, ""), (is_true, "true_")))
+    found, true = (
+        _boxes(rows, scene, keep, prefix) for keep, prefix in ((is_found, ""), (is_true, "true_"))
+    )
     matched = is_found & is_true
     score_P = rows["score"][is_found]
     return {
         "ap_25": average_precision(found, score_P, true, 0.25),
         "ap_50": average_precision(found, score_P, true, 0.5),
         "mask_iou": float(rows["mask_iou"][matched].mean()) if matched.any() else 0.0,
-        **{name: float(rows[name][matched].mean()) if matched.any() else float("nan") for name in LENGTHS},
+        **{
+            name: float(rows[name][matched].mean()) if matched.any() else float("nan")
+            for name in LENGTHS
+        },
         "objects": int(is_true.sum()),
         "boxes": int(is_found.sum()),
     }
 
 
-def _boxes(rows: Columns, scene: np.ndarray[Any, Any], keep: np.ndarray[Any, Any], prefix: str) -> Boxes:
+def _boxes(
+    rows: Columns, scene: np.ndarray[Any, Any], keep: np.ndarray[Any, Any], prefix: str
+) -> Boxes:
     values = np.stack([rows[prefix + name][keep] for name in BOX], axis=1)
     return Boxes(scene[keep], values[:, :3], values[:, 3:])

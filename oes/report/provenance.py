@@ -1,4 +1,6 @@
-"""Where figures come from, in one line: profile, episodes, seeds, machine. No host name, no clock."""
+"""Where figures come from, in one line: profile, episodes, seeds, machine. No host name, no
+clock.
+"""
 
 import os
 import platform
@@ -9,7 +11,9 @@ from typing import Any
 import yaml
 
 
-def provenance(profile: str, episodes: Mapping[str, int], seeds: Mapping[str, int], machine: str) -> str:
+def provenance(
+    profile: str, episodes: Mapping[str, int], seeds: Mapping[str, int], machine: str
+) -> str:
     """The line under every table. ``episodes`` counts those of each split."""
     counts = ", ".join(f"{count} {split}" for split, count in episodes.items())
     numbers = ", ".join(f"{name} {seed}" for name, seed in seeds.items())
@@ -30,7 +34,9 @@ def _seeds(tree: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[tuple[st
 
 
 def describe_machine() -> str:
-    """For instance ``AMD EPYC 7763, 2 cores``; an NVIDIA card is added where its driver lists one."""
+    """For instance ``AMD EPYC 7763, 2 cores``; an NVIDIA card is added where its driver lists
+    one.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     words = [_processor(), f"{cores} cores", *_cards()]
     return ", ".join(words)
@@ -47,5 +53,9 @@ def _processor() -> str:
 
 def _cards() -> list[str]:
     found = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
-    lines = [line for path in found for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
+    lines = [
+        line
+        for path in found
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
+    ]
     return [" ".join(line.split(":", 1)[1].split()) for line in lines if line.startswith("Model:")]

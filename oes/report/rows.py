@@ -59,12 +59,7 @@ TRIALS: dict[str, Kind] = {
     "video": str,
 }
 
-_DTYPES: dict[Kind, Any] = {
-    str: np.str_,
-    int: np.int64,
-    float: np.float64,
-    bool: np.bool_,
-}
+_DTYPES: dict[Kind, Any] = {str: np.str_, int: np.int64, float: np.float64, bool: np.bool_}
 _TRUTH = {"True": True, "true": True, "1": True, "False": False, "false": False, "0": False}
 
 
@@ -75,7 +70,8 @@ class RowsError(ValueError):
 def read_columns(paths: Sequence[Path], kinds: Mapping[str, Kind]) -> Columns:
     """The asked columns of several CSV files, one after another; other columns are passed over.
 
-    Raises RowsError naming the file and the column, and FileNotFoundError for a file that is not there.
+    Raises RowsError naming the file and the column, and FileNotFoundError for a file that is not
+    there.
     """
     gathered: dict[str, list[Any]] = {name: [] for name in kinds}
     for path in paths:
@@ -83,11 +79,16 @@ def read_columns(paths: Sequence[Path], kinds: Mapping[str, Kind]) -> Columns:
             reader = csv.DictReader(file)
             missing = [name for name in kinds if name not in (reader.fieldnames or ())]
             if missing:
-                raise RowsError(f"{path}: lacks the columns {', '.join(missing)}; it has {reader.fieldnames}")
+                raise RowsError(
+                    f"{path}: lacks the columns {', '.join(missing)}; it has {reader.fieldnames}"
+                )
             for line_i, row in enumerate(reader, start=2):
                 for name, kind in kinds.items():
                     gathered[name].append(_value(row[name], kind, path, line_i, name))
-    return {name: np.array(values, dtype=_DTYPES.get(kinds[name], np.float64)) for name, values in gathered.items()}
+    return {
+        name: np.array(values, dtype=_DTYPES.get(kinds[name], np.float64))
+        for name, values in gathered.items()
+    }
 
 
 def select(columns: Columns, **equal: object) -> Columns:

@@ -27,7 +27,9 @@ SENSE_NOTE = (
 
 
 def certainty(rows: Columns) -> Figures:
-    """(model, setting, T) -> mean scale (mm), coverages, NLLs and n, of the models that tell how sure they are."""
+    """(model, setting, T) -> mean scale (mm), coverages, NLLs and n, of the models that tell how
+    sure they are.
+    """
     told = kept(rows, ~np.isnan(rows["scale_mm"]))
     keys = [
         (model, setting, T)
@@ -38,7 +40,8 @@ def certainty(rows: Columns) -> Figures:
     names = ("scale_mm", "within_50", "within_90", "nll", "nll_same")
     parts = {key: select(told, model=key[0], setting=key[1], T=key[2]) for key in keys}
     return {
-        (model, setting, str(T)): {name: float(part[name].mean()) for name in names} | {"n": float(len(part["T"]))}
+        (model, setting, str(T)): {name: float(part[name].mean()) for name in names}
+        | {"n": float(len(part["T"]))}
         for (model, setting, T), part in parts.items()
         if len(part["T"])
     }
@@ -46,8 +49,21 @@ def certainty(rows: Columns) -> Figures:
 
 def certainty_table(found: Mapping[str, Figures], notes: tuple[str, ...]) -> Table:
     """One line a task, setting and T; ``found`` by task."""
-    header = ("task", "model", "setting", "T", "scale (mm)", "within 50%", "within 90%", "NLL", "NLL, one scale", "n")
-    every = [(task, key, values) for task, figures in found.items() for key, values in figures.items()]
+    header = (
+        "task",
+        "model",
+        "setting",
+        "T",
+        "scale (mm)",
+        "within 50%",
+        "within 90%",
+        "NLL",
+        "NLL, one scale",
+        "n",
+    )
+    every = [
+        (task, key, values) for task, figures in found.items() for key, values in figures.items()
+    ]
     cells = tuple(
         (
             *(task, MODELS.get(model, model), SETTINGS[setting], T, f"{values['scale_mm']:.1f}"),
@@ -65,7 +81,9 @@ def certainty_table(found: Mapping[str, Figures], notes: tuple[str, ...]) -> Tab
 
 
 def sense(rows: Columns) -> Figures:
-    """(model,) -> mean penetration (mm), share of it that is deep, error of what did not move (mm), of one setting."""
+    """(model,) -> mean penetration (mm), share of it that is deep, error of what did not move (mm),
+    of one setting.
+    """
     last = select(rows, T=LAST)
     found: dict[tuple[str, ...], Mapping[str, float]] = {}
     for model in in_order(map(str, np.unique(last["model"]))):
@@ -83,17 +101,36 @@ def sense(rows: Columns) -> Figures:
 
 def sense_table(found: Mapping[str, Figures], notes: tuple[str, ...]) -> Table:
     """One line a task and model; ``found`` by task."""
-    header = ("task", "model", "penetration (mm)", "deep", "moved though still (mm)", "n", "n still")
-    every = [(task, model, values) for task, figures in found.items() for (model,), values in figures.items()]
+    header = (
+        "task",
+        "model",
+        "penetration (mm)",
+        "deep",
+        "moved though still (mm)",
+        "n",
+        "n still",
+    )
+    every = [
+        (task, model, values)
+        for task, figures in found.items()
+        for (model,), values in figures.items()
+    ]
     cells = tuple(
         (
-            *(task, MODELS.get(model, model), f"{values['penetration_mm']:.2f}", f"{100 * values['deep_share']:.1f}%"),
+            *(
+                task,
+                MODELS.get(model, model),
+                f"{values['penetration_mm']:.2f}",
+                f"{100 * values['deep_share']:.1f}%",
+            ),
             *("" if np.isnan(values["still_mm"]) else f"{values['still_mm']:.1f}",),
             *(f"{values[name]:.0f}" for name in ("n", "n_still")),
         )
         for task, model, values in every
     )
-    records = tuple({"task": task, "model": model} | rounded(values) for task, model, values in every)
+    records = tuple(
+        {"task": task, "model": model} | rounded(values) for task, model, values in every
+    )
     caption = "Physical sense of forecasts, novel objects"
     return Table("sense", caption, header, cells, records, (SENSE_NOTE, *notes))
 

@@ -1,4 +1,6 @@
-"""reports/index.html: the study on one page that holds all of its pictures and films and needs no network."""
+"""reports/index.html: the study on one page that holds all of its pictures and films and needs no
+network.
+"""
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -11,12 +13,19 @@ from oes.report.names import MODELS, OURS
 from oes.report.table import Table
 
 TEMPLATE = "index.html.jinja"
-TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4", ".json": "application/json"}
+TYPES = {
+    ".png": "image/png",
+    ".svg": "image/svg+xml",
+    ".mp4": "video/mp4",
+    ".json": "application/json",
+}
 
 
 @dataclass(frozen=True)
 class Chapter:
-    """A section of the page: its text, and how the names of its tables, pictures and films begin."""
+    """A section of the page: its text, and how the names of its tables, pictures and films
+    begin.
+    """
 
     title: str
     text: str
@@ -90,7 +99,8 @@ def write_site(
     pictures: tuple[Mapping[str, str], Mapping[str, Sequence[str]]],
     machine: str,
 ) -> None:
-    """Write the page; ``pictures``: captions by path and films by heading, all relative to the page's folder.
+    """Write the page; ``pictures``: captions by path and films by heading, all relative to the
+    page's folder.
 
     Raises FileNotFoundError for a picture or film that is not there.
     """
@@ -104,7 +114,11 @@ def write_site(
     page = environment.get_template(TEMPLATE).render(
         opening=opening,
         facts=facts,
-        sections=[section for section in sections if section["tables"] or section["figures"] or section["films"]],
+        sections=[
+            section
+            for section in sections
+            if section["tables"] or section["figures"] or section["films"]
+        ],
         ours=MODELS[OURS],
         machine=machine,
         metrics=_inside(path.parent / "metrics.json"),
@@ -113,7 +127,11 @@ def write_site(
 
 
 def _section(
-    chapter: Chapter, tables: Sequence[Table], figures: Mapping[str, str], films: Sequence[str], folder: Path
+    chapter: Chapter,
+    tables: Sequence[Table],
+    figures: Mapping[str, str],
+    films: Sequence[str],
+    folder: Path,
 ) -> dict[str, object]:
     return {
         "title": chapter.title,
@@ -121,12 +139,19 @@ def _section(
         "text": chapter.text,
         "tables": [table for table in tables if table.name.startswith(chapter.tables or (" ",))],
         "figures": [
-            {"source": _inside(_sharpest(folder / name)), "caption": caption, "wide": _is_wide(name)}
+            {
+                "source": _inside(_sharpest(folder / name)),
+                "caption": caption,
+                "wide": _is_wide(name),
+            }
             for name, caption in figures.items()
             if _is_of(name, chapter.figures) and name.endswith(".png")
         ],
         "films": [
-            {"source": _inside(folder / name), "caption": Path(name).stem.replace("_", " ").replace("-", " ")}
+            {
+                "source": _inside(folder / name),
+                "caption": Path(name).stem.replace("_", " ").replace("-", " "),
+            }
             for name in films
             if _is_of(name, chapter.films)
         ],

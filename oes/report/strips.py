@@ -1,4 +1,6 @@
-"""Films of forecasts beside the truth, from the pictures of some scenes that ``rollouts`` leaves."""
+"""Films of forecasts beside the truth, from the pictures of some scenes that ``rollouts``
+leaves.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,16 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from oes.film import INK, Pixels, write_gif, write_video
 from oes.report.names import BASELINE, MODELS, OURS
 from oes.report.rows import RowsError
+from oes.viz.overlay import INK, Pixels, write_gif, write_video
 
 SHOWN = (OURS, BASELINE)
 PICTURES_PER_S, HOLD_S = 5, 2
 
 
 def forecast_films(rollouts: Path, task: str, folder: Path) -> list[str]:
-    """``rollouts-<task>`` as MP4 and GIF, truth and models side by side; gives their paths from ``folder``'s parent.
+    """``rollouts-<task>`` as MP4 and GIF, truth and models side by side; gives their paths from
+    ``folder``'s parent.
 
     Raises RowsError naming a picture that one model lacks, or that is not like the others.
     """
@@ -43,16 +46,27 @@ def read_scenes(folders: Sequence[Path]) -> NDArray[np.uint8]:
             raise RowsError(
                 f"{path}: holds {found.shape[1]} tiles of {found.shape[2]} px, not {shape[1]} of {shape[2]}"
             )
-    return np.stack([np.stack([tiles[row[0]][0], *(tiles[path][1] for path in row)]) for row in rows])
+    return np.stack(
+        [np.stack([tiles[row[0]][0], *(tiles[path][1] for path in row)]) for row in rows]
+    )
 
 
 def film_of(tiles_SCTHW3: NDArray[np.uint8]) -> list[Pixels]:
-    """A picture for each time: a row a scene, under the names of the columns; its sides are even, as H.264 asks."""
+    """A picture for each time: a row a scene, under the names of the columns; its sides are even,
+    as H.264 asks.
+    """
     _, _, num_times, _, side_px, _ = tiles_SCTHW3.shape
     pictures = []
     for T in range(num_times):
-        heads = np.hstack([_head(text, side_px) for text in (f"truth, T = {T}", *(MODELS[model] for model in SHOWN))])
-        picture = np.vstack([heads, *(np.hstack(list(scene_CTHW3[:, T])) for scene_CTHW3 in tiles_SCTHW3)])
+        heads = np.hstack(
+            [
+                _head(text, side_px)
+                for text in (f"truth, T = {T}", *(MODELS[model] for model in SHOWN))
+            ]
+        )
+        picture = np.vstack(
+            [heads, *(np.hstack(list(scene_CTHW3[:, T])) for scene_CTHW3 in tiles_SCTHW3)]
+        )
         height, width = (length // 2 * 2 for length in picture.shape[:2])
         pictures.append(picture[:height, :width])
     return pictures
@@ -61,7 +75,16 @@ def film_of(tiles_SCTHW3: NDArray[np.uint8]) -> list[Pixels]:
 def _head(text: str, side_px: int) -> Pixels:
     """A dark band with the name of a column, as wide as a tile."""
     band = np.zeros((side_px // 6, side_px, 3), dtype=np.uint8)
-    cv2.putText(band, text, (side_px // 24, side_px // 8), cv2.FONT_HERSHEY_SIMPLEX, side_px / 320, INK, 1, cv2.LINE_AA)
+    cv2.putText(
+        band,
+        text,
+        (side_px // 24, side_px // 8),
+        cv2.FONT_HERSHEY_SIMPLEX,
+        side_px / 320,
+        INK,
+        1,
+        cv2.LINE_AA,
+    )
     return band
 
 
@@ -72,5 +95,7 @@ def _tiles(path: Path) -> NDArray[np.uint8]:
     pixels = np.asarray(Image.open(path).convert("RGB"))
     side_px = pixels.shape[0] // 2
     if side_px == 0 or pixels.shape[0] % 2 or pixels.shape[1] % side_px:
-        raise RowsError(f"{path}: {pixels.shape[1]} x {pixels.shape[0]} px are not two rows of square tiles")
+        raise RowsError(
+            f"{path}: {pixels.shape[1]} x {pixels.shape[0]} px are not two rows of square tiles"
+        )
     return pixels.reshape(2, side_px, -1, side_px, 3).swapaxes(1, 2)

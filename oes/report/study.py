@@ -17,10 +17,11 @@ VARIED, FIXED = "1view_pred", "fixed_pred"
 
 @dataclass(frozen=True)
 class Study:
-    """One task: the splits behind its main table and behind the error by number of views (none: not made), that
-    table's settings in their order with the paper's figures, and how things are called.
+    """One task: the splits behind its main table and behind the error by number of views (none: not
+    made), that table's settings in their order with the paper's figures, and how things are called.
 
-    ``by_objects`` is a key of metrics.json; ``suffix`` ends the other keys and the names of tables and figures.
+    ``by_objects`` is a key of metrics.json; ``suffix`` ends the other keys and the names of tables
+    and figures.
     """
 
     task: str
@@ -69,7 +70,9 @@ STUDIES = {
 
 @dataclass(frozen=True)
 class Forecasts:
-    """A study's main table and its variations as lines, and the ratio of errors that it is judged by."""
+    """A study's main table and its variations as lines, and the ratio of errors that it is judged
+    by.
+    """
 
     study: Study
     main: list[Line]
@@ -79,22 +82,40 @@ class Forecasts:
 
 
 def forecasts(rows: Columns, seed: int) -> Forecasts:
-    """Average the errors of one task: by setting; by number of objects; by number of predicted-box views.
+    """Average the errors of one task: by setting; by number of objects; by number of predicted-box
+    views.
 
     Raises RowsError for rows that are not all of one task of ``STUDIES``.
     """
     tasks = np.unique(rows["task"]).tolist()
     if len(tasks) != 1 or tasks[0] not in STUDIES:
-        raise RowsError(f"rows of errors must be of one task of {', '.join(STUDIES)}; these are of: {tasks}")
+        raise RowsError(
+            f"rows of errors must be of one task of {', '.join(STUDIES)}; these are of: {tasks}"
+        )
     study = STUDIES[tasks[0]]
     main = _among(rows, study.splits)
-    settings = [Group(key, SETTINGS[key], _own(main, key), study.printed.get(key, {})) for key in study.settings]
+    settings = [
+        Group(key, SETTINGS[key], _own(main, key), study.printed.get(key, {}))
+        for key in study.settings
+    ]
     varied = _own(rows, VARIED)
-    counts = [Group(str(n), str(n), select(varied, num_objects=n), {}) for n in np.unique(varied["num_objects"])]
+    counts = [
+        Group(str(n), str(n), select(varied, num_objects=n), {})
+        for n in np.unique(varied["num_objects"])
+    ]
     several = _among(rows, study.view_splits)
     predicted = kept(several, _is_found(several))
-    views = [Group(str(n), str(n), select(predicted, num_views=n), {}) for n in np.unique(predicted["num_views"])]
-    return Forecasts(study, lines(settings, seed), lines(counts, seed), lines(views, seed), _ratios(settings, seed))
+    views = [
+        Group(str(n), str(n), select(predicted, num_views=n), {})
+        for n in np.unique(predicted["num_views"])
+    ]
+    return Forecasts(
+        study,
+        lines(settings, seed),
+        lines(counts, seed),
+        lines(views, seed),
+        _ratios(settings, seed),
+    )
 
 
 def forecast_tables(found: Forecasts, notes: Sequence[str]) -> list[Table]:
@@ -109,7 +130,9 @@ def forecast_tables(found: Forecasts, notes: Sequence[str]) -> list[Table]:
     ]  # fmt: skip
     if found.by_views:
         caption = f"Error by number of input views, {study.task} (predicted boxes)"
-        tables.append(forecast_table(f"by-views{study.suffix}", caption, "input_views", found.by_views, notes))
+        tables.append(
+            forecast_table(f"by-views{study.suffix}", caption, "input_views", found.by_views, notes)
+        )
     return tables
 
 
@@ -134,6 +157,8 @@ def _own(rows: Columns, setting: str) -> Columns:
 
 
 def _is_found(rows: Columns) -> NDArray[np.bool_]:
-    """Rows of random views with predicted boxes (``1view_pred``, ``2views_pred``...) of models that saw such views."""
+    """Rows of random views with predicted boxes (``1view_pred``, ``2views_pred``...) of models that
+    saw such views.
+    """
     is_random = np.char.endswith(rows["setting"], "_pred") & (rows["setting"] != FIXED)
     return np.asarray(is_random & ~np.char.endswith(rows["model"], "_fixed"))

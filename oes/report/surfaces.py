@@ -1,4 +1,6 @@
-"""The tables about completed surfaces: ratios, ablations, certainty and physical sense, of all tasks."""
+"""The tables about completed surfaces: ratios, ablations, certainty and physical sense, of all
+tasks.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -23,7 +25,11 @@ def surface_tables(chapters: Chapters, seed: int, notes: tuple[str, ...]) -> lis
     sensible = {task: sense(_varied(chapter)) for task, chapter in chapters.items()}
     tables = [sense_table(sensible, notes)]
     if any(told.values()):
-        tables = [ratio_table(_ratios(chapters, seed), notes), certainty_table(told, notes), *tables]
+        tables = [
+            ratio_table(_ratios(chapters, seed), notes),
+            certainty_table(told, notes),
+            *tables,
+        ]
     rows = _varied(chapters[FIRST.task], with_variants=True)
     if np.isin(rows["model"], list(VARIANTS)).any():
         tables.append(ablation_table(*ablations(rows, seed), notes))
@@ -34,8 +40,12 @@ def surface_tree(chapters: Chapters, seed: int) -> dict[str, Any]:
     """The same figures for metrics.json."""
     _, variants = ablations(_varied(chapters[FIRST.task], with_variants=True), seed)
     return {
-        "contact_ratio": {task: ratio_tree(ratios) for task, ratios in _ratios(chapters, seed).items()},
-        "certainty": tree({task: certainty(main_rows(chapter)) for task, chapter in chapters.items()}),
+        "contact_ratio": {
+            task: ratio_tree(ratios) for task, ratios in _ratios(chapters, seed).items()
+        },
+        "certainty": tree(
+            {task: certainty(main_rows(chapter)) for task, chapter in chapters.items()}
+        ),
         "sense": tree({task: sense(_varied(chapter)) for task, chapter in chapters.items()}),
         **({"ablations": ratio_tree(variants)} if variants else {}),
     }
@@ -44,18 +54,26 @@ def surface_tree(chapters: Chapters, seed: int) -> dict[str, Any]:
 def main_rows(chapter: Chapter) -> Columns:
     """The rows of the task's main splits, without ablations."""
     rows = chapter.rows
-    is_main = np.isin(rows["split"], list(chapter.found.study.splits)) & ~np.isin(rows["model"], list(VARIANTS))
+    is_main = np.isin(rows["split"], list(chapter.found.study.splits)) & ~np.isin(
+        rows["model"], list(VARIANTS)
+    )
     return kept(rows, is_main)
 
 
 def _varied(chapter: Chapter, with_variants: bool = False) -> Columns:
     """One view, predicted boxes, main splits; of models that saw such views."""
     rows = select(chapter.rows, setting=VARIED)
-    is_asked = np.isin(rows["split"], list(chapter.found.study.splits)) & ~np.char.endswith(rows["model"], "_fixed")
+    is_asked = np.isin(rows["split"], list(chapter.found.study.splits)) & ~np.char.endswith(
+        rows["model"], "_fixed"
+    )
     return kept(rows, is_asked & (with_variants | ~np.isin(rows["model"], list(VARIANTS))))
 
 
 def _ratios(chapters: Chapters, seed: int) -> dict[str, Ratios]:
     """By task, where ``contact`` was scored."""
     rows = {task: _varied(chapter) for task, chapter in chapters.items()}
-    return {task: surface_ratios(each, seed) for task, each in rows.items() if (each["model"] == SURFACES).any()}
+    return {
+        task: surface_ratios(each, seed)
+        for task, each in rows.items()
+        if (each["model"] == SURFACES).any()
+    }

@@ -1,15 +1,19 @@
-"""A table as Markdown, CSV and LaTeX. Markdown and LaTeX hold the printed cells, CSV the numbers behind them."""
+"""A table as Markdown, CSV and LaTeX. Markdown and LaTeX hold the printed cells, CSV the numbers
+behind them.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from oes.rows import write_csv
+from oes.csv_io import write_csv
 
 
 @dataclass(frozen=True)
 class Table:
-    """``cells`` are printed under ``header``; ``records`` are the same facts, one number a column, for machines."""
+    """``cells`` are printed under ``header``; ``records`` are the same facts, one number a column,
+    for machines.
+    """
 
     name: str
     caption: str
@@ -65,7 +69,9 @@ def _pipes(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 
-_TEX = str.maketrans({"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"})
+_TEX = str.maketrans(
+    {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+)
 _TEX |= str.maketrans({character: f"\\{character}" for character in "&%$#_{}"})
 _TEX |= str.maketrans({"<": r"$<$", ">": r"$>$"})
 

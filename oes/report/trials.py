@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.measure import mcnemar_exact, signed_rank, wilson
+from oes.metrics.errors import mcnemar_exact, signed_rank, wilson
 from oes.report.names import MODELS, OURS, SCENARIOS, in_order
 from oes.report.paper import CONTROL
 from oes.report.rows import Columns, select
@@ -27,9 +27,11 @@ PAPERS = "shooting"  # the planner of the paper
 
 @dataclass(frozen=True)
 class Outcome:
-    """One model and planner on one scenario. ``p_value``: exact McNemar test of oes against it on the same trials.
+    """One model and planner on one scenario. ``p_value``: exact McNemar test of oes against it on
+    the same trials.
 
-    ``distance_p_value``: Wilcoxon's signed-rank test of the distances at the end, on those that ran with both.
+    ``distance_p_value``: Wilcoxon's signed-rank test of the distances at the end, on those that ran
+    with both.
     """
 
     model: str
@@ -51,10 +53,14 @@ class Outcome:
 
 
 def outcomes(rows: Columns, scenario: str) -> list[Outcome]:
-    """Success of every model with each planner; a trial that failed to run counts as one without success."""
+    """Success of every model with each planner; a trial that failed to run counts as one without
+    success.
+    """
     here = select(rows, scenario=scenario)
     found = []
-    for planner in sorted(map(str, np.unique(here["planner"])), key=lambda name: (name != PAPERS, name)):
+    for planner in sorted(
+        map(str, np.unique(here["planner"])), key=lambda name: (name != PAPERS, name)
+    ):
         with_it = select(here, planner=planner)
         ours = select(with_it, model=OURS)
         models = in_order(map(str, np.unique(with_it["model"])))
@@ -62,7 +68,9 @@ def outcomes(rows: Columns, scenario: str) -> list[Outcome]:
     return found
 
 
-def trials_table(found: Sequence[Outcome], name: str, scenario: str, notes: tuple[str, ...]) -> Table:
+def trials_table(
+    found: Sequence[Outcome], name: str, scenario: str, notes: tuple[str, ...]
+) -> Table:
     """The outcomes, one row a planner and model."""
     header = (
         "planner",
@@ -170,7 +178,9 @@ def _record(outcome: Outcome, scenario: str) -> dict[str, object]:
         "touched": round(outcome.touched, 4),
         "initial_mm": round(outcome.initial_mm, 2),
         "final_mm": round(outcome.final_mm, 2),
-        "distance_p_value": "" if outcome.distance_p_value is None else f"{outcome.distance_p_value:.6g}",
+        "distance_p_value": ""
+        if outcome.distance_p_value is None
+        else f"{outcome.distance_p_value:.6g}",
         "pushes": round(outcome.steps, 2),
         "did_not_run": outcome.failures,
         "paper": "" if outcome.printed is None else outcome.printed,

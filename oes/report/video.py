@@ -1,5 +1,6 @@
-"""What the baselines that forecast pictures have learned, on test episodes: a baseline that learned nothing is no
-comparison."""
+"""What the baselines that forecast pictures have learned, on test episodes: a baseline that learned
+nothing is no comparison.
+"""
 
 import shutil
 from pathlib import Path
@@ -71,7 +72,9 @@ def copy_forecasts(dynamics: Path, figures: Figures, folder: Path) -> dict[str, 
         folder.mkdir(parents=True, exist_ok=True)
         target = folder / f"forecasts-{model.replace('_', '-')}.png"
         shutil.copyfile(dynamics / f"pushing-{model}" / "forecasts.png", target)
-        captions[f"{folder.name}/{target.name}"] = f"{MODELS[model]}: above what came, below what was forecast."
+        captions[f"{folder.name}/{target.name}"] = (
+            f"{MODELS[model]}: above what came, below what was forecast."
+        )
     return captions
 
 

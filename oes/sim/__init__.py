@@ -1,1 +1,3 @@
-"""Bullet: the world, the arm, random scenes of both tasks, episodes and their re-runs. Nothing else uses pybullet."""
+"""Bullet: the world, the arm, random scenes of both tasks, episodes and their re-runs. Nothing else
+uses pybullet.
+"""

@@ -1,4 +1,6 @@
-"""Catalogue meshes as Bullet bodies: mass frame, footprint on the table, true box, and the body itself."""
+"""Catalogue meshes as Bullet bodies: mass frame, footprint on the table, true box, and the body
+itself.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -16,12 +18,14 @@ if TYPE_CHECKING:
 
 
 @params
-class Bodies:
-    """How bodies are drawn and how they touch: nominal values times a factor drawn from ``vary`` (log-uniform).
+class BodiesConfig:
+    """How bodies are drawn and how they touch: nominal values times a factor drawn from ``vary``
+    (log-uniform).
 
-    ``scale`` is drawn per axis, uniformly, from the range for the mesh's split: wider for training meshes, since what
-    is known of novel shapes comes from the variety of those seen. Friction is against the table (whose own is 1);
-    Bullet multiplies the coefficients of two bodies. ``spinning_m`` and ``rolling_m`` are its torsional coefficients.
+    ``scale`` is drawn per axis, uniformly, from the range for the mesh's split: wider for training
+    meshes, since what is known of novel shapes comes from the variety of those seen. Friction is
+    against the table (whose own is 1); Bullet multiplies the coefficients of two bodies.
+    ``spinning_m`` and ``rolling_m`` are its torsional coefficients.
     """
 
     mass_kg: float
@@ -32,13 +36,17 @@ class Bodies:
     rolling_m: float
 
     def __post_init__(self) -> None:
-        """Raises ValueError (a ParamsError when read from params.yaml) where ``scale`` lacks a split."""
+        """Raises ValueError (a ParamsError when read from params.yaml) where ``scale`` lacks a
+        split.
+        """
         if set(self.scale) != {"train", "test"}:
             raise ValueError(f"scale: expected exactly train, test; found {', '.join(self.scale)}")
 
 
-def draw_body(mesh: "Mesh", cfg: Bodies, rng: np.random.Generator) -> Body:
-    """A body of this mesh with random size, mass, friction and texture (paper appendix B: textures)."""
+def draw_body(mesh: "Mesh", cfg: BodiesConfig, rng: np.random.Generator) -> Body:
+    """A body of this mesh with random size, mass, friction and texture (paper appendix B:
+    textures).
+    """
     low, high = np.log(cfg.vary)
     mass, friction = np.array([cfg.mass_kg, cfg.friction]) * np.exp(rng.uniform(low, high, 2))
     return Body(
@@ -52,7 +60,8 @@ def draw_body(mesh: "Mesh", cfg: Bodies, rng: np.random.Generator) -> Body:
 
 
 def mass_frame(mesh: "Mesh", scale_3: Floats, mass_kg: float) -> tuple[Floats, Floats]:
-    """``obj_T_com`` (origin at the centre of mass, axes along the principal ones) and the principal moments (3, kg m2).
+    """``obj_T_com`` (origin at the centre of mass, axes along the principal ones) and the principal
+    moments (3, kg m2).
 
     Exact for scaling along the axes: the second moments of the volume scale axis by axis.
     """
@@ -63,8 +72,10 @@ def mass_frame(mesh: "Mesh", scale_3: Floats, mass_kg: float) -> tuple[Floats, F
     return rigid(axes, mesh.com_obj_3 * scale_3), moments
 
 
-def spawn(bullet: Bullet, mesh: "Mesh", body: Body, cfg: Bodies) -> int:
-    """A dynamic Bullet body (the compound of the mesh's convex parts); returns its id. Pose it with ``set_pose``."""
+def spawn(bullet: Bullet, mesh: "Mesh", body: Body, cfg: BodiesConfig) -> int:
+    """A dynamic Bullet body (the compound of the mesh's convex parts); returns its id. Pose it with
+    ``set_pose``.
+    """
     obj_T_com, moments = mass_frame(mesh, body.scale_3, body.mass_kg)
     shape = bullet.createCollisionShape(
         bullet.GEOM_MESH, fileName=str(mesh.collision_path), meshScale=body.scale_3.tolist()
@@ -90,7 +101,9 @@ def spawn(bullet: Bullet, mesh: "Mesh", body: Body, cfg: Bodies) -> int:
 
 
 def set_pose(bullet: Bullet, body_id: int, world_T_obj: Floats, obj_T_com: Floats) -> None:
-    """Put the body's obj frame at ``world_T_obj``, at rest (Bullet itself counts from the mass frame)."""
+    """Put the body's obj frame at ``world_T_obj``, at rest (Bullet itself counts from the mass
+    frame).
+    """
     world_T_com = world_T_obj @ obj_T_com
     bullet.resetBasePositionAndOrientation(
         body_id, world_T_com[:3, 3].tolist(), quat_xyzw(world_T_com[:3, :3]).tolist()
@@ -116,7 +129,7 @@ def true_box(mesh: "Mesh", body: Body, world_T_obj: Floats) -> tuple[Floats, Flo
     return hull(transform(world_T_obj, mesh.visual.vertices * body.scale_3))
 
 
-def footprint(mesh: "Mesh", body: Body, world_T_obj: Floats) -> shapely.Geometry:
+def body_footprint(mesh: "Mesh", body: Body, world_T_obj: Floats) -> shapely.Geometry:
     """The outline of the posed body seen from above: the union of its convex parts' shadows."""
     shadows = [transform(world_T_obj, part.vertices * body.scale_3)[:, :2] for part in mesh.parts]
     return shapely.union_all([shapely.MultiPoint(shadow).convex_hull for shadow in shadows])

@@ -9,10 +9,11 @@ BulletError: type[Exception] = pybullet.error
 
 
 class Bullet:
-    """``Bullet().stepSimulation()`` is ``pybullet.stepSimulation(physicsClientId=...)`` of its own server.
+    """``Bullet().stepSimulation()`` is ``pybullet.stepSimulation(physicsClientId=...)`` of its own
+    server.
 
-    As pybullet_utils' BulletClient, which however makes the server print its command line and leaves it to the
-    garbage collector to disconnect.
+    As pybullet_utils' BulletClient, which however makes the server print its command line and
+    leaves it to the garbage collector to disconnect.
     """
 
     def __init__(self) -> None:

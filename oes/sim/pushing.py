@@ -1,4 +1,6 @@
-"""The closed loop's world: one push at a time, and after each a settled state seen by fresh cameras."""
+"""The closed loop's world: one push at a time, and after each a settled state seen by fresh
+cameras.
+"""
 
 from collections.abc import Sequence
 from types import TracebackType
@@ -9,32 +11,46 @@ import shapely
 
 from oes.episode import Body, Floats, Step
 from oes.sim.arm import ReachError, joints_for
-from oes.sim.bodies import footprint
+from oes.sim.bodies import body_footprint
 from oes.sim.rig import rig
-from oes.sim.world import NS_PER_MS, Sim, World
+from oes.sim.world import NS_PER_MS, SimConfig, World
 
 if TYPE_CHECKING:
     from oes.meshes.catalogue import Catalogue
 
 
 class PushWorld:
-    """Objects on the table and the arm; a context manager. Between pushes the arm stays where the last one ended."""
+    """Objects on the table and the arm; a context manager. Between pushes the arm stays where the
+    last one ended.
+    """
 
-    def __init__(self, catalogue: "Catalogue", cfg: Sim, settle_ms: int) -> None:
-        """``settle_ms`` passes after every push before the state is read. Raises ValueError for a bad clock."""
-        self._world, self._catalogue, self._cfg, self._settle_ms = World(catalogue, cfg), catalogue, cfg, settle_ms
+    def __init__(self, catalogue: "Catalogue", cfg: SimConfig, settle_ms: int) -> None:
+        """``settle_ms`` passes after every push before the state is read. Raises ValueError for a
+        bad clock.
+        """
+        self._world, self._catalogue, self._cfg, self._settle_ms = (
+            World(catalogue, cfg),
+            catalogue,
+            cfg,
+            settle_ms,
+        )
         self._t_ns = 0
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._world.__exit__(kind, error, trace)
 
     def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_xy_m: Floats) -> None:
-        """Start a trial: bodies put on the table, left to settle, the rod down at ``tip_xy_m``. Raises ReachError."""
+        """Start a trial: bodies put on the table, left to settle, the rod down at ``tip_xy_m``.
+        Raises ReachError.
+        """
         self._world.reset(bodies, world_T_obj_N44, self._tip(tip_xy_m))
         self._world.run(self._settle_ms)
         self._world.clear_contacts()
@@ -47,17 +63,20 @@ class PushWorld:
         except ReachError:
             return False
         things = zip(self._world.bodies, self._world.poses(), strict=True)
-        outlines = [footprint(self._catalogue.meshes[body.mesh], body, pose) for body, pose in things]
+        outlines = [
+            body_footprint(self._catalogue.meshes[body.mesh], body, pose) for body, pose in things
+        ]
         radius = self._cfg.robot.rod_radius_m
         return all(outline.distance(shapely.Point(tip_xy_m)) > radius for outline in outlines)
 
     def push(self, tip_start_xy_m: Floats, action_3: Floats, rng: np.random.Generator) -> Step:
-        """Set the rod down at ``tip_start_xy_m``, push by ``action_3`` over one timestep, let things settle.
+        """Set the rod down at ``tip_start_xy_m``, push by ``action_3`` over one timestep, let
+        things settle.
 
-        The way to the start is a joint reset (raised, the rod touches nothing), and takes no time. Where the rod would
-        come down on an object it stays where it is, and only time passes: ask ``is_free`` first. The contacts of the
-        Step are those of this push and its settling. Raises ReachError, before anything moves, when the start or the
-        end is out of reach.
+        The way to the start is a joint reset (raised, the rod touches nothing), and takes no time.
+        Where the rod would come down on an object it stays where it is, and only time passes: ask
+        ``is_free`` first. The contacts of the Step are those of this push and its settling. Raises
+        ReachError, before anything moves, when the start or the end is out of reach.
         """
         start, end = self._tip(tip_start_xy_m), self._tip(tip_start_xy_m) + action_3
         joints_for(np.stack([start, end]), self._cfg.robot)

@@ -1,4 +1,6 @@
-"""The robot: a Kuka iiwa on a pedestal with a vertical rod, as a URDF for Bullet and as triangles for the renderer."""
+"""The robot: a Kuka iiwa on a pedestal with a vertical rod, as a URDF for Bullet and as triangles
+for the renderer.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,9 +23,10 @@ ROD_RGB = (0.75, 0.1, 0.1)
 
 
 @params
-class Robot:
-    """Where the arm stands (its base frame in world axes), what it holds (a rod straight out of the flange, whose tip
-    travels at ``tip_height_m`` above the table) and the square +- ``workspace_m`` of the table that the tip may visit.
+class RobotConfig:
+    """Where the arm stands (its base frame in world axes), what it holds (a rod straight out of the
+    flange, whose tip travels at ``tip_height_m`` above the table) and the square +- ``workspace_m``
+    of the table that the tip may visit.
     """
 
     base_m: tuple[float, float, float]
@@ -36,16 +39,20 @@ class Robot:
 
 @dataclass(frozen=True)
 class RobotShape:
-    """What the renderer draws: (vertices P3, faces F3, rgb 3) of every link, in the order of world_T_link_L44.
+    """What the renderer draws: (vertices P3, faces F3, rgb 3) of every link, in the order of
+    world_T_link_L44.
 
-    The links are the seven of the arm after its base, and last the rod, whose frame's origin is the tip's centre.
+    The links are the seven of the arm after its base, and last the rod, whose frame's origin is the
+    tip's centre.
     """
 
     links: tuple[tuple[Floats, NDArray[np.int32], Floats], ...]
 
 
-def write_urdf(cfg: Robot, folder: Path) -> Path:
-    """pybullet's iiwa with the rod as a fixed last link (so that it cannot bend) and a pedestal under its base."""
+def write_urdf(cfg: RobotConfig, folder: Path) -> Path:
+    """pybullet's iiwa with the rod as a fixed last link (so that it cannot bend) and a pedestal
+    under its base.
+    """
     root = ET.parse(KUKA).getroot()
     for mesh in root.iter("mesh"):
         mesh.set("filename", str(KUKA.parent / mesh.attrib["filename"]))
@@ -61,17 +68,23 @@ def write_urdf(cfg: Robot, folder: Path) -> Path:
 
 
 @lru_cache(maxsize=2)
-def robot_shape(cfg: Robot) -> RobotShape:
-    """Triangles of the base (with its pedestal), the seven links and the rod, each in its link's frame."""
+def robot_shape(cfg: RobotConfig) -> RobotShape:
+    """Triangles of the base (with its pedestal), the seven links and the rod, each in its link's
+    frame.
+    """
     root = ET.parse(KUKA).getroot()
     rgbs = {m.attrib["name"]: _numbers(m, "color", "rgba")[:3] for m in root.findall("material")}
     links = [_link_shape(link, rgbs) for link in root.findall("link")]
     rod = trimesh.creation.cylinder(cfg.rod_radius_m, cfg.rod_length_m, sections=24)
     rod.apply_translation([0, 0, -cfg.rod_length_m / 2])
-    return RobotShape((_with_pedestal(links[0], cfg), *links[1:], _triangles(rod, np.array(ROD_RGB))))
+    return RobotShape(
+        (_with_pedestal(links[0], cfg), *links[1:], _triangles(rod, np.array(ROD_RGB)))
+    )
 
 
-def _link_shape(link: ET.Element, rgbs: dict[str, Floats]) -> tuple[Floats, NDArray[np.int32], Floats]:
+def _link_shape(
+    link: ET.Element, rgbs: dict[str, Floats]
+) -> tuple[Floats, NDArray[np.int32], Floats]:
     mesh, material = link.find("visual/geometry/mesh"), link.find("visual/material")
     if mesh is None or material is None:
         raise ValueError(f"{KUKA}: link {link.attrib['name']} has no visual mesh with a material")
@@ -84,7 +97,7 @@ def _triangles(mesh: trimesh.Trimesh, rgb: Floats) -> tuple[Floats, NDArray[np.i
 
 
 def _with_pedestal(
-    base: tuple[Floats, NDArray[np.int32], Floats], cfg: Robot
+    base: tuple[Floats, NDArray[np.int32], Floats], cfg: RobotConfig
 ) -> tuple[Floats, NDArray[np.int32], Floats]:
     vertices, faces, rgb = base
     block = trimesh.creation.box((cfg.pedestal_m, cfg.pedestal_m, cfg.base_m[2]))
@@ -93,15 +106,19 @@ def _with_pedestal(
     return np.concatenate([vertices, block.vertices]), faces, rgb
 
 
-def _pedestal_center(cfg: Robot) -> list[float]:
-    """The pedestal stands on the plane of the table top; its far side ends where the base's does."""
+def _pedestal_center(cfg: RobotConfig) -> list[float]:
+    """The pedestal stands on the plane of the table top; its far side ends where the base's
+    does.
+    """
     return [-cfg.pedestal_m / 4, 0.0, -cfg.base_m[2] / 2]
 
 
-def _rod_link(cfg: Robot) -> ET.Element:
+def _rod_link(cfg: RobotConfig) -> ET.Element:
     """The rod's frame: origin at the tip's centre, +z pointing out of the tip."""
     middle = f"0 0 {-cfg.rod_length_m / 2}"
-    cylinder = f'<geometry><cylinder radius="{cfg.rod_radius_m}" length="{cfg.rod_length_m}"/></geometry>'
+    cylinder = (
+        f'<geometry><cylinder radius="{cfg.rod_radius_m}" length="{cfg.rod_length_m}"/></geometry>'
+    )
     return ET.fromstring(
         f'<link name="rod"><inertial><origin xyz="{middle}"/><mass value="{ROD_MASS_KG}"/>'
         f'<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-5"/></inertial>'
@@ -109,21 +126,23 @@ def _rod_link(cfg: Robot) -> ET.Element:
     )
 
 
-def _rod_joint(cfg: Robot) -> ET.Element:
+def _rod_joint(cfg: RobotConfig) -> ET.Element:
     return ET.fromstring(
         f'<joint name="rod_joint" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="rod"/>'
         f'<origin xyz="0 0 {FLANGE_M + cfg.rod_length_m}"/></joint>'
     )
 
 
-def _add_pedestal(root: ET.Element, cfg: Robot) -> None:
+def _add_pedestal(root: ET.Element, cfg: RobotConfig) -> None:
     base = root.find("link[@name='lbr_iiwa_link_0']")
     if base is None:
         raise ValueError(f"{KUKA} has no link lbr_iiwa_link_0")
     x, y, z = _pedestal_center(cfg)
     size = f"{cfg.pedestal_m} {cfg.pedestal_m} {cfg.base_m[2]}"
     base.append(
-        ET.fromstring(f'<collision><origin xyz="{x} {y} {z}"/><geometry><box size="{size}"/></geometry></collision>')
+        ET.fromstring(
+            f'<collision><origin xyz="{x} {y} {z}"/><geometry><box size="{size}"/></geometry></collision>'
+        )
     )
 
 

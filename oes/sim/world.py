@@ -1,4 +1,6 @@
-"""The world: one Bullet client with a table, the arm and some bodies; the only place where time passes."""
+"""The world: one Bullet client with a table, the arm and some bodies; the only place where time
+passes.
+"""
 
 import tempfile
 from collections.abc import Sequence
@@ -11,11 +13,11 @@ from numpy.typing import NDArray
 
 from oes.config import params
 from oes.episode import Body, Camera, Floats, Step
-from oes.sim.arm import Arm, RodArm
-from oes.sim.bodies import Bodies, get_pose, mass_frame, set_pose, spawn, true_box
+from oes.sim.arm import ArmConfig, RodArm
+from oes.sim.bodies import BodiesConfig, get_pose, mass_frame, set_pose, spawn, true_box
 from oes.sim.client import Bullet
-from oes.sim.rig import Rig
-from oes.sim.robot import Robot, write_urdf
+from oes.sim.rig import RigConfig
+from oes.sim.robot import RobotConfig, write_urdf
 
 if TYPE_CHECKING:
     from oes.meshes.catalogue import Catalogue
@@ -26,8 +28,10 @@ TABLE, ROBOT, FIRST_OBJECT = 0, 1, 2  # the order of Step.touched_MM
 
 
 @params
-class Physics:
-    """The clock and the table. ``timestep_ms`` is one action's; it must be a whole number of physics steps."""
+class PhysicsConfig:
+    """The clock and the table. ``timestep_ms`` is one action's; it must be a whole number of
+    physics steps.
+    """
 
     step_ms: int
     timestep_ms: int
@@ -38,27 +42,33 @@ class Physics:
 
 
 @params
-class Sim:
+class SimConfig:
     """Everything about the simulated world that does not depend on what happens in it."""
 
-    physics: Physics
-    robot: Robot
-    arm: Arm
-    bodies: Bodies
-    rig: Rig
+    physics: PhysicsConfig
+    robot: RobotConfig
+    arm: ArmConfig
+    bodies: BodiesConfig
+    rig: RigConfig
 
 
-def count_steps(duration_ms: int, cfg: Physics) -> int:
-    """Physics steps in ``duration_ms``. Raises ValueError unless it is a whole, positive number of them."""
+def count_steps(duration_ms: int, cfg: PhysicsConfig) -> int:
+    """Physics steps in ``duration_ms``. Raises ValueError unless it is a whole, positive number of
+    them.
+    """
     if cfg.step_ms < 1 or duration_ms < 1 or duration_ms % cfg.step_ms:
-        raise ValueError(f"{duration_ms} ms is no whole multiple of physics.step_ms = {cfg.step_ms}")
+        raise ValueError(
+            f"{duration_ms} ms is no whole multiple of physics.step_ms = {cfg.step_ms}"
+        )
     return duration_ms // cfg.step_ms
 
 
 class World:
-    """A context manager that owns one Bullet client (no window); ``reset`` starts each scene from nothing."""
+    """A context manager that owns one Bullet client (no window); ``reset`` starts each scene from
+    nothing.
+    """
 
-    def __init__(self, catalogue: "Catalogue", cfg: Sim) -> None:
+    def __init__(self, catalogue: "Catalogue", cfg: SimConfig) -> None:
         """Raises ValueError when an action's timestep is no whole multiple of the physics step."""
         self.catalogue, self.cfg = catalogue, cfg
         self.steps_per_action = count_steps(cfg.physics.timestep_ms, cfg.physics)
@@ -70,12 +80,17 @@ class World:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._bullet.disconnect()
         self._folder.cleanup()
 
-    def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_world_3: Floats | None) -> None:
+    def reset(
+        self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_world_3: Floats | None
+    ) -> None:
         """Empty the world and set it up afresh, all at rest; no arm when ``tip_world_3`` is None.
 
         Raises ReachError for a tip out of reach, KeyError for a mesh that the catalogue lacks.
@@ -108,10 +123,11 @@ class World:
             self._advance()
 
     def push(self, action_3: Floats) -> Floats:
-        """Move the tip by ``action_3``, in a straight line from where it was last commanded, over one timestep.
+        """Move the tip by ``action_3``, in a straight line from where it was last commanded, over
+        one timestep.
 
-        Returns the squared distance (m2) of the tip from its commanded place after every physics step; the arm is then
-        told to hold. Raises ReachError before anything moves.
+        Returns the squared distance (m2) of the tip from its commanded place after every physics
+        step; the arm is then told to hold. Raises ReachError before anything moves.
         """
         joints, tips = self.arm.plan(action_3, self.steps_per_action)
         speeds = np.diff(joints, axis=0) / (self.cfg.physics.step_ms / 1000)
@@ -127,7 +143,8 @@ class World:
     def poses(self) -> Floats:
         """``world_T_obj_N44`` now; until time passes, exactly the poses given to ``reset``.
 
-        Exactly, because contact amplifies the last bit of a start: an episode could not be replayed otherwise.
+        Exactly, because contact amplifies the last bit of a start: an episode could not be replayed
+        otherwise.
         """
         if self._is_fresh:
             return self._placed[0]
@@ -167,7 +184,9 @@ class World:
     def _tip(self) -> Floats:
         if self._arm is None:
             return np.full(3, np.nan)
-        return self._placed[1] if self._is_fresh and self._placed[1] is not None else self._arm.tip()
+        return (
+            self._placed[1] if self._is_fresh and self._placed[1] is not None else self._arm.tip()
+        )
 
     def _advance(self) -> None:
         self._is_fresh = False
@@ -189,15 +208,23 @@ class World:
 
     def _table(self) -> int:
         size = np.array(self.cfg.physics.table_size_m)
-        shape = self._bullet.createCollisionShape(self._bullet.GEOM_BOX, halfExtents=(size / 2).tolist())
+        shape = self._bullet.createCollisionShape(
+            self._bullet.GEOM_BOX, halfExtents=(size / 2).tolist()
+        )
         table = self._bullet.createMultiBody(0, shape, basePosition=[0, 0, -size[2] / 2])
-        self._bullet.changeDynamics(table, -1, lateralFriction=self.cfg.physics.table_friction, restitution=0.0)
+        self._bullet.changeDynamics(
+            table, -1, lateralFriction=self.cfg.physics.table_friction, restitution=0.0
+        )
         return int(table)
 
     def _load_arm(self, tip_world_3: Floats) -> RodArm:
-        body = self._bullet.loadURDF(str(self._urdf), basePosition=self.cfg.robot.base_m, useFixedBase=True)
+        body = self._bullet.loadURDF(
+            str(self._urdf), basePosition=self.cfg.robot.base_m, useFixedBase=True
+        )
         for link_i in range(-1, self._bullet.getNumJoints(body)):
-            self._bullet.changeDynamics(body, link_i, lateralFriction=self.cfg.physics.rod_friction, restitution=0.0)
+            self._bullet.changeDynamics(
+                body, link_i, lateralFriction=self.cfg.physics.rod_friction, restitution=0.0
+            )
         arm = RodArm(self._bullet, body, self.cfg.arm, self.cfg.robot)
         arm.reset_to(tip_world_3)
         return arm

@@ -1,0 +1,1 @@
+"""Programs for people: demo, viewer, evaluation on your own meshes."""

@@ -1,0 +1,221 @@
+"""One pushing task with a novel object, planned and executed: imagined and real motion side by side
+in demo.mp4.
+
+``python -m oes.apps.demo`` needs no dataset: it uses the weights in git, and makes a small
+catalogue where there is none.
+"""
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oes.apps.evaluate import KEPT, TRAINED, find_weights
+from oes.config import load, params
+from oes.episode import Body, Floats, Step
+from oes.meshes.build import MeshesConfig, build_catalogue
+from oes.meshes.catalogue import Catalogue, load_catalogue
+from oes.mpc.search import Plan
+from oes.perception.perceiver import Perceiver
+from oes.sim.rig import rig
+from oes.sim.world import SimConfig, World
+from oes.stage import PARAMS, run
+from oes.trials.loop import StepRecord, TrialResult, run_trial
+from oes.trials.runner import CAMERAS, PLANS, TASKS, CameraSensor, TrialsConfig, make_planner
+from oes.trials.task import Task, TrialScenario, draw_task, generator
+from oes.trials.trial_video import observed_image
+from oes.trials.world_models import load_world_model
+from oes.viz.overlay import GOAL, IMAGINED, PUSH, CameraOverlay, write_video
+
+log = logging.getLogger(__name__)
+
+SCENARIO, PLANNER, MODEL = "targets", "cem", "oes"
+MESHES, SPARE = Path("datasets/meshes"), Path(".work/demo-meshes")
+DEMO_FILE = Path("demo.mp4")
+
+
+@params
+class DemoConfig:
+    """The section ``demo``: which task, into how many pictures each push is divided, and the
+    film.
+    """
+
+    seed: int
+    goal_m: tuple[float, float]
+    pictures_per_push: int
+    zoom: int
+    pictures_per_s: int
+    hold_s: float
+
+
+def main(cfg: DemoConfig) -> None:
+    """Plan and push until the object is believed at its goal; write the film. Raises EvaluateError
+    without weights.
+    """
+    trials = load(PARAMS, "trials", TrialsConfig)
+    scenario = replace(trials.scenarios[SCENARIO], num_objects=(1, 1), goal_m=cfg.goal_m)
+    perception, dynamics = find_weights((KEPT, TRAINED), (MODEL,))
+    catalogue = find_catalogue()
+    planner = make_planner(trials, Perceiver.load(perception), load_world_model(dynamics[MODEL]))
+    rngs = [generator(cfg.seed, "demo", 0, stream) for stream in (TASKS, CAMERAS, PLANS)]
+    task = draw_task(catalogue, trials.sim, scenario, rngs[TASKS])
+    photographer = CameraSensor(catalogue, trials.sim, task.bodies)
+    with SlowWorld(catalogue, trials.sim, scenario.settle_ms, cfg.pictures_per_push) as world:
+        search = scenario.planners[PLANNER]
+        outcome = run_trial(
+            world, photographer, planner, task, scenario, search, (rngs[CAMERAS], rngs[PLANS])
+        )
+        write_video(
+            pictures(outcome, world.pushes, photographer, task, scenario, cfg),
+            DEMO_FILE,
+            cfg.pictures_per_s,
+        )
+    start_mm, end_mm = outcome.initial_G.mean() * 1e3, outcome.final_G.mean() * 1e3
+    log.info(
+        "%s: %.0f mm from the goal at first, %.0f mm after %d pushes",
+        DEMO_FILE,
+        start_mm,
+        end_mm,
+        outcome.steps_used,
+    )
+
+
+def find_catalogue() -> Catalogue:
+    """The study's meshes if they are there, else those made in a moment (plates and blocks, with
+    the same split).
+    """
+    if MESHES.exists():
+        return load_catalogue(MESHES)
+    if SPARE.exists():
+        return load_catalogue(SPARE)
+    return build_catalogue(
+        replace(load(PARAMS, "meshes", MeshesConfig), per_category=0, shapenet=None, folder=None),
+        SPARE,
+    )
+
+
+def pictures(
+    outcome: TrialResult,
+    pushes: Sequence[Sequence[Step]],
+    photographer: CameraSensor,
+    task: Task,
+    scenario: TrialScenario,
+    cfg: DemoConfig,
+) -> Iterator[NDArray[np.uint8]]:
+    """Left what the planner sees and imagines, right what happens, from the camera the planner had
+    at each step.
+    """
+    hold = round(cfg.hold_s * cfg.pictures_per_s)
+    done = iter(pushes)
+    for moment in outcome.moments:
+        before = _beside(moment, 0.0, moment.rgb_HW3, task, scenario, cfg)
+        yield from [before] * hold
+        if moment.chosen is None:
+            continue
+        states = next(done)
+        for state_i, state in enumerate(states):
+            rgb_HW3 = photographer(state, moment.camera).frames.rgb_VHW3[0]
+            yield _beside(
+                moment, min(1.0, state_i / cfg.pictures_per_push), rgb_HW3, task, scenario, cfg
+            )
+        yield from [_beside(moment, 1.0, rgb_HW3, task, scenario, cfg)] * hold
+
+
+def _beside(
+    moment: StepRecord,
+    share: float,
+    rgb_HW3: NDArray[np.uint8],
+    task: Task,
+    scenario: TrialScenario,
+    cfg: DemoConfig,
+) -> NDArray[np.uint8]:
+    """Imagined (after ``share`` of the push) and real, side by side."""
+    imagined = observed_image(moment, task.goal_G3, scenario.success_m, cfg.zoom)
+    imagined.label("imagined" if moment.chosen else "seen")
+    if moment.chosen is not None:
+        _draw_forecast(
+            imagined, moment.chosen, moment.belief.center_N3, moment.belief.size_N3, share
+        )
+    real = CameraOverlay(rgb_HW3, moment.camera, cfg.zoom)
+    for goal in task.goal_G3:
+        real.ring(goal * [1, 1, 0], scenario.success_m, GOAL)
+    real.label("real")
+    return np.concatenate([imagined.pixels, real.pixels], axis=1)
+
+
+def _draw_forecast(
+    picture: CameraOverlay, chosen: Plan, center_N3: Floats, size_N3: Floats, share: float
+) -> None:
+    """The rod and the boxes part of the way to where the model puts them."""
+    tip, action = chosen.tip_3.double().numpy(), chosen.actions_H3[0].double().numpy()
+    picture.arrow(tip, action, PUSH)
+    picture.line(np.stack([tip + share * action, tip + share * action + [0, 0, 0.15]]), PUSH)
+    for start, end, size in zip(
+        center_N3, chosen.position_HN3[0].double().numpy(), size_N3, strict=True
+    ):
+        picture.box(start + share * (end - start), size, IMAGINED)
+
+
+class SlowWorld:
+    """As PushWorld, and it remembers the states during every push: ``pushes[i]`` are those of push
+    i, start to rest.
+    """
+
+    def __init__(
+        self, catalogue: Catalogue, sim: SimConfig, settle_ms: int, states_per_push: int
+    ) -> None:
+        """Raises ValueError unless a timestep divides into so many states of whole physics
+        steps.
+        """
+        timestep_ms = sim.physics.timestep_ms // states_per_push
+        slow = replace(sim, physics=replace(sim.physics, timestep_ms=timestep_ms))
+        self._world, self._sim, self._settle_ms, self._parts = (
+            World(catalogue, slow),
+            sim,
+            settle_ms,
+            states_per_push,
+        )
+        self.pushes: list[list[Step]] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._world.__exit__(kind, error, trace)
+
+    def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_xy_m: Floats) -> None:
+        """Set the scene and let it settle."""
+        self._world.reset(bodies, world_T_obj_N44, self._tip(tip_xy_m))
+        self._world.run(self._settle_ms)
+
+    def push(self, tip_start_xy_m: Floats, action_3: Floats, rng: np.random.Generator) -> Step:
+        """One push in equal parts at the same speed, then rest."""
+        self._world.arm.reset_to(self._tip(tip_start_xy_m))
+        states = [self._world.step(0, ())]
+        for _ in range(self._parts):
+            self._world.push(action_3 / self._parts)
+            states.append(self._world.step(0, ()))
+        self._world.run(self._settle_ms)
+        self.pushes.append([*states, self._world.step(0, ())])
+        return self.step_now(rng)
+
+    def step_now(self, rng: np.random.Generator) -> Step:
+        """The state now, with fresh cameras."""
+        return self._world.step(0, rig(self._sim.rig, rng))
+
+    def _tip(self, xy_m: Floats) -> Floats:
+        return np.array([xy_m[0], xy_m[1], self._sim.robot.tip_height_m])
+
+
+if __name__ == "__main__":
+    run(main)

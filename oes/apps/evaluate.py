@@ -1,0 +1,162 @@
+"""Table 1 on anyone's meshes: ingest, capture two-object test episodes, run the trained models.
+Nothing is trained.
+
+``python -m oes.apps.evaluate --meshes FOLDER`` prints the table and writes it to
+build/evaluate-<folder's name>/.
+"""
+
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import torch
+
+from oes.config import load, params
+from oes.csv_io import write_csv
+from oes.dynamics import MODELS
+from oes.dynamics.checkpoint import load_any_model as load_dynamics
+from oes.episodes.capture import capture_split
+from oes.evaluation.evaluate_forecasts import (
+    ERROR_COLUMNS,
+    penetration_meter,
+    sample_mesh_surfaces,
+    split_rows,
+)
+from oes.evaluation.forecasters import RolloutsConfig, make_forecaster
+from oes.meshes.build import MeshesConfig, ingest_folder
+from oes.meshes.catalogue import load_catalogue
+from oes.perception.gt_profiles import GroundTruthProfiles
+from oes.perception.objects_file import ObjectStore, read_objects, write_objects
+from oes.perception.observations import ObjectsConfig, ScenePerceiver, perceive_split
+from oes.perception.perceiver import Perceiver
+from oes.perception.solids import solids_of
+from oes.record.dataset import FrameSource
+from oes.report.provenance import describe_machine, provenance, read_seeds
+from oes.report.rows import ERRORS, read_columns
+from oes.report.study import forecast_tables, forecasts
+from oes.report.table import markdown, write_table
+from oes.sim.simulate import EpisodesConfig, SplitConfig
+from oes.stage import PARAMS, publish, run, work_dir
+
+TASK, SPLIT = "pushing", "test2"
+TRAINED = Path("datasets")  # where the stages leave weights
+KEPT = Path("reports/models")  # those that git keeps
+
+
+class EvaluateError(ValueError):
+    """There is nothing to evaluate, or nothing to evaluate with."""
+
+
+@params
+class EvaluateConfig:
+    """The section ``evaluate``: how many two-object episodes are captured."""
+
+    episodes: int
+
+
+def main(cfg: EvaluateConfig, meshes: Path) -> None:
+    """Ingest ``meshes``, capture, forecast, and write the table. Raises EvaluateError,
+    CatalogueError.
+    """
+    perception, dynamics = find_weights((TRAINED, KEPT), ())
+    out = Path("build") / f"evaluate-{meshes.resolve().name}"
+    mesh_cfg, capture_cfg = (
+        load(PARAMS, "meshes", MeshesConfig),
+        load(PARAMS, "episodes", EpisodesConfig),
+    )
+    split = SplitConfig(count=cfg.episodes, min_objects=2, max_objects=2)
+    capture_cfg = replace(capture_cfg, splits={**capture_cfg.splits, TASK: {SPLIT: split}})
+    with work_dir(out, (mesh_cfg, capture_cfg, [meshes, perception, *dynamics.values()])) as work:
+        if not (work / "meshes").exists():
+            ingest_folder(meshes, mesh_cfg, work / "meshes")
+        failures = capture_split(work / "meshes", capture_cfg, TASK, SPLIT, work / "episodes")
+        if len(failures) == cfg.episodes:
+            raise EvaluateError(
+                f"{meshes}: no episode could be captured; the first: {failures[0].reason}"
+            )
+        store = perceive(work, perception, load(PARAMS, "objects", ObjectsConfig))
+        (work / "report").mkdir(exist_ok=True)
+        write_errors(work, store, dynamics, load(PARAMS, "rollouts", RolloutsConfig))
+        sys.stdout.write(
+            write_report(work / "report", f"meshes of {meshes.name}", cfg.episodes - len(failures))
+        )
+        publish(work / "report", out)
+        shutil.rmtree(work)
+
+
+def find_weights(
+    roots: Sequence[Path], needed: Sequence[str], task: str = TASK
+) -> tuple[Path, dict[str, Path]]:
+    """Perception's weights and each model's folder, from the first root that has perception's and
+    models.
+
+    Raises EvaluateError when no root has those, the ``needed`` models among them.
+    """
+    for root in roots:
+        perception = root / "perception" / "perception.safetensors"
+        folders = {word: root / "dynamics" / f"{task}-{word}" for word in MODELS}
+        dynamics = {
+            word: folder
+            for word, folder in folders.items()
+            if (folder / "model.safetensors").is_file()
+        }
+        if perception.is_file() and dynamics and dynamics.keys() >= set(needed):
+            return perception, dynamics
+    raise EvaluateError(
+        f"no trained weights in {' or '.join(map(str, roots))}: run `make all` first"
+    )
+
+
+def perceive(work: Path, perception: Path, cfg: ObjectsConfig) -> ObjectStore:
+    """What perception sees in the captured episodes, under every test setting."""
+    path = work / "objects.safetensors"
+    if not path.exists():
+        (work / "progress").mkdir(exist_ok=True)
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        catalogue, perceiver = load_catalogue(work / "meshes"), Perceiver.load(perception, device)
+        shells = GroundTruthProfiles(catalogue, perceiver.net.cfg.surface.cylinder)
+        solids = solids_of(catalogue, cfg.num_solid_points)
+        observer = ScenePerceiver(
+            cfg,
+            cfg.settings(TASK, SPLIT),
+            perceiver,
+            FrameSource(work / "episodes"),
+            shells,
+            solids,
+        )
+        tensors, _, _ = perceive_split(observer, work / "progress")
+        write_objects(path, tensors, list(observer.settings))
+    return read_objects(path)
+
+
+def write_errors(
+    work: Path, store: ObjectStore, dynamics: Mapping[str, Path], cfg: RolloutsConfig
+) -> None:
+    """``report/errors.csv``: the errors of every model."""
+    recorded = dict(enumerate(FrameSource(work / "episodes").episodes))
+    catalogue = load_catalogue(work / "meshes")
+    surfaces = sample_mesh_surfaces(catalogue, cfg.num_surface_points)
+    overlaps = penetration_meter(catalogue, surfaces)
+    rows: list[dict[str, object]] = []
+    for word, folder in dynamics.items():
+        forecast = make_forecaster(load_dynamics(folder), catalogue, cfg)
+        rows += map(
+            asdict,
+            split_rows(forecast, store, recorded, surfaces, overlaps, (TASK, word, SPLIT), cfg),
+        )
+    write_csv(work / "report" / "errors.csv", rows, ERROR_COLUMNS)
+
+
+def write_report(folder: Path, what: str, episodes: int) -> str:
+    """Table 1 of the rows in ``folder``, written there as md, csv and tex; gives the Markdown."""
+    found = forecasts(read_columns([folder / "errors.csv"], ERRORS), seed=0)
+    line = provenance(what, {"test": episodes}, read_seeds(PARAMS), describe_machine())
+    table = forecast_tables(found, [line])[0]
+    write_table(table, folder)
+    return markdown(table)
+
+
+if __name__ == "__main__":
+    run(main)

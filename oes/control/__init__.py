@@ -1,1 +1,0 @@
-"""Model predictive control: what to push, where to start, how far. Knows models and costs as functions only."""

@@ -1,0 +1,1 @@
+"""Forecasts of every model on test episodes, and their errors against the recorded motion."""

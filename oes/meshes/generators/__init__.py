@@ -1,0 +1,1 @@
+"""Generators of meshes with exact convex parts."""

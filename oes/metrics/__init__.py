@@ -1,0 +1,1 @@
+"""Errors, image metrics and statistics. Numpy and scipy only, no files."""

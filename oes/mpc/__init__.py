@@ -1,0 +1,3 @@
+"""Model predictive control: what to push, where to start, how far. Knows models and costs as
+functions only.
+"""

@@ -1,1 +1,0 @@
-"""Perception: posed RGB-D views to a 3D feature map, the objects in it, and images of it from other cameras."""

@@ -1,0 +1,1 @@
+"""Training shared by all networks: the loop, its optimizers, checkpoints, tensors on disk."""

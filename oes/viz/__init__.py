@@ -1,0 +1,1 @@
+"""Overlays on camera images, and video files."""

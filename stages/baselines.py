@@ -1,0 +1,37 @@
+"""baselines: a baseline that forecasts pictures, trained on the frames of the training episodes and
+tried on others'.
+"""
+
+import shutil
+from pathlib import Path
+
+import cv2
+import torch
+
+from oes.baselines.clips import read_clips
+from oes.baselines.evaluate import forecast_rows
+from oes.baselines.train import BaselinesConfig, save_baseline, train_baseline
+from oes.csv_io import columns_of, write_csv
+from oes.stage import publish, run, work_dir
+
+
+def main(cfg: BaselinesConfig, model: str, overhead: Path, out: Path) -> None:
+    """Write the weights, ``log.csv``, ``forecasts.csv`` and ``forecasts.png``."""
+    with work_dir(out, (cfg, model, [overhead])) as work:
+        progress = work / "progress"
+        progress.mkdir(exist_ok=True)
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        clips, view = read_clips(overhead / "pushing-train" / "frames.safetensors")
+        net, log = train_baseline(cfg, model, clips, progress, device)
+        unseen, _ = read_clips(overhead / "pushing-test2" / "frames.safetensors")
+        rows, picture = forecast_rows(net.cpu().eval(), unseen, view)
+        save_baseline(work, net, view)
+        write_csv(work / "log.csv", log, columns_of(log))
+        write_csv(work / "forecasts.csv", rows, list(rows[0]))
+        cv2.imwrite(str(work / "forecasts.png"), picture[..., ::-1])
+        shutil.rmtree(progress)
+        publish(work, out)
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,23 @@
+"""overhead: what a fixed camera above the table sees of every state of the pushing episodes, without
+the arm.
+"""
+
+from pathlib import Path
+
+from oes.baselines.clips import write_clips
+from oes.baselines.overhead_render import OverheadConfig, make_clips
+from oes.meshes.catalogue import load_catalogue
+from oes.record.dataset import read_states
+from oes.stage import publish, run, work_dir
+
+
+def main(cfg: OverheadConfig, split: str, meshes: Path, episodes: Path, out: Path) -> None:
+    """Write ``frames.safetensors`` to ``out``."""
+    with work_dir(out, (cfg, split, [meshes, episodes])) as work:
+        clips = make_clips(read_states(episodes), load_catalogue(meshes), cfg)
+        write_clips(clips, cfg.view, work / "frames.safetensors")
+        publish(work, out)
+
+
+if __name__ == "__main__":
+    run(main)
