@@ -42,10 +42,10 @@ def scene(seen: InputSpec) -> Objects:
         ),
         camera_NV12=torch.zeros(*shape, 1, 12),
         view_NV=torch.ones(*shape, 1, dtype=torch.bool),
-        outline_NRK3=torch.tensor([0.035, 0.002, 1.0]).expand(
+        radial_profile_NRD3=torch.tensor([0.035, 0.002, 1.0]).expand(
             *shape, seen.outline_rows, seen.outline_directions, 3
         ),
-        mass_N3=torch.zeros(*shape, 3),
+        com_offset_N3=torch.zeros(*shape, 3),
     )
 
 

@@ -1,29 +1,44 @@
-"""What perception tells dynamics about the objects of a scene; the border between the two."""
+"""Objects of a scene as perception describes them to dynamics."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
-# rows of an outline: of all bands; of all but the lowest; of what the object stands on; then the
-# bands, upwards
+# rows of a radial profile: all layers together; all but the lowest; the support on the table; then
+# single layers, upwards
 UNION, UPPER, SUPPORT, LAYERS = range(4)
+
+TensorFields = TypeVar("TensorFields")
+
+
+def map_tensors(x: TensorFields, fn: Callable[..., Tensor], *others: TensorFields) -> TensorFields:
+    """Copy of dataclass ``x`` with every tensor field replaced by ``fn(field, *fields of others)``.
+
+    ``map_tensors(a, lambda *t: torch.cat(t), b)`` concatenates two batches. None stays None.
+    """
+    fields: dict[str, Any] = {
+        name: None if value is None else fn(value, *(getattr(other, name) for other in others))
+        for name, value in vars(x).items()
+    }
+    return type(x)(**fields)
 
 
 @dataclass(frozen=True)
 class Objects:
-    """N perceived objects in world coordinates; every tensor may carry a leading batch B (then
-    ``valid_BN``).
+    """N perceived objects in world coordinates. Tensors may carry a leading B (then ``valid_BN``).
 
-    ``crop_NCXYZ``: C x 16 x 16 x 16 native-voxel crop centred at ``center_N3``, axis-aligned with
-    the world. Channel 0 is the probability that a voxel belongs to the whole object (seen and
-    unseen side); the others (see ``oes.perception.perceiver.Perceiver.crops``) fade out a voxel off
-    it: no robot, no neighbour shows. ``image_NV3HW``: uint8 RGB crop around the projected box in
-    every input view; views that do not exist are zero, with ``view_NV`` False. ``camera_NV12``: the
-    rows of world_T_cam (3x4) of every view. ``outline_NRK3``: the completed surface as R outlines
-    around the vertical through the centre (see ``oes.perception.surface``): radius and its scale
-    (metres) in K directions, and how likely there is any of it. ``mass_N3``: where the centre of
-    mass is thought to be, from ``center_N3``.
+    ``crop_NCXYZ``: features of the 16 x 16 x 16 native voxels around ``center_N3``, axis-aligned
+    with the world. Channel 0 is the occupancy probability of the whole object, visible or not; the
+    other channels are masked to the object (see ``oes.perception.perceiver.Perceiver.crops``).
+    ``image_NV3HW``: uint8 RGB crops around the projected box, zero in missing views.
+    ``camera_NV12``: the rows of world_T_cam (3x4) of every view. ``view_NV``: views that exist.
+    ``radial_profile_NRD3``: the completed surface as R rows (see ``UNION``) of radius (metres),
+    its scale (metres) and its existence probability in D directions around the vertical through the
+    centre (see ``oes.perception.surface``). ``com_offset_N3``: predicted centre of mass relative to
+    ``center_N3``.
     """
 
     center_N3: Tensor
@@ -34,18 +49,10 @@ class Objects:
     image_NV3HW: Tensor
     camera_NV12: Tensor
     view_NV: Tensor
-    outline_NRK3: Tensor
-    mass_N3: Tensor
+    radial_profile_NRD3: Tensor
+    com_offset_N3: Tensor
 
     def to(self, *args: torch.device | torch.dtype) -> "Objects":
-        """Move or cast every tensor (integer and bool tensors keep their dtype when a float dtype
-        is given).
-        """
-        return Objects(
-            **{
-                name: value.to(*args)
-                if value.is_floating_point()
-                else value.to(*[a for a in args if not isinstance(a, torch.dtype)])
-                for name, value in vars(self).items()
-            }
-        )
+        """Move or cast every tensor; a dtype applies to floating-point tensors only."""
+        devices = [arg for arg in args if not isinstance(arg, torch.dtype)]
+        return map_tensors(self, lambda t: t.to(*args if t.is_floating_point() else devices))

@@ -24,7 +24,7 @@ DOUBT = ShapeUncertainty(
 
 def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_there() -> None:
     objects = make_objects()
-    objects.outline_NRK3[0, 0, 3, :, 2] = 0.05
+    objects.radial_profile_NRD3[0, 0, 3, :, 2] = 0.05
     shapes = shapes_of(objects)
     again = unpacked(shapes.packed(), SEEN.outline_rows, SEEN.outline_directions)
     for name, value in vars(shapes).items():
@@ -34,8 +34,11 @@ def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_
 
 def test_objects_stand_on_their_foot_or_where_none_is_seen_on_their_lowest_band() -> None:
     objects = make_objects(scenes=1, num=2)
-    objects.outline_NRK3[:, :, SUPPORT, :, 0], objects.outline_NRK3[:, :, LAYERS, :, 0] = 0.02, 0.03
-    objects.outline_NRK3[:, 1, SUPPORT, :, 2] = 0.05
+    (
+        objects.radial_profile_NRD3[:, :, SUPPORT, :, 0],
+        objects.radial_profile_NRD3[:, :, LAYERS, :, 0],
+    ) = 0.02, 0.03
+    objects.radial_profile_NRD3[:, 1, SUPPORT, :, 2] = 0.05
     bodies = shapes_of(objects).bodies(objects.valid_N, 0.02)
     away_BNM = (bodies.feet_BNM2 + bodies.mass_BN2[:, :, None]).norm(dim=-1)
     torch.testing.assert_close(
@@ -199,7 +202,7 @@ def test_points_know_how_far_they_are_above_and_below_another_object() -> None:
     outline[:, :, :6] = torch.tensor([0.03, 0.001, 1.0])
     size = torch.tensor([0.06, 0.06, 0.05]).expand(1, 2, 3)
     center = torch.tensor([[[0.0, 0.0, 0.025], [0.02, 0.0, 0.105]]])
-    objects = replace(objects, center_N3=center, size_N3=size, outline_NRK3=outline)
+    objects = replace(objects, center_N3=center, size_N3=size, radial_profile_NRD3=outline)
     sight = SurfaceEncoder(replace(NET.contact.skin, rows=(3, 4, 5)), NET.graph.unit_m)
     state, shapes = initial_state(center, objects.valid_N), shapes_of(objects)
     first_BNP3, _, _, there_BNP = sight._points(shapes, torch.eye(3)[None], state.turned_BN33)

@@ -98,8 +98,8 @@ def make_objects(scenes: int = 3, num: int = 3, seed: int = 0) -> Objects:
         ),
         camera_NV12=torch.randn(scenes, num, VIEWS, 12, generator=g),
         view_NV=torch.tensor([True, False]).expand(scenes, num, VIEWS).clone(),
-        outline_NRK3=make_outlines(scenes, num, g),
-        mass_N3=torch.randn(scenes, num, 3, generator=g) * 0.002,
+        radial_profile_NRD3=make_outlines(scenes, num, g),
+        com_offset_N3=torch.randn(scenes, num, 3, generator=g) * 0.002,
     )
 
 

@@ -178,7 +178,8 @@ def test_changes_are_the_same_for_the_simulator_and_for_what_was_seen(
     ratio = grown.episode.bodies[0].scale_3 / case.episode.bodies[0].scale_3
     assert ratio == pytest.approx(1.3) and float(grown.poses.scale_M[2]) == pytest.approx(1.3)
     shape = (
-        grown.scene.objects.outline_NRK3[2, 0, :, 0] / case.scene.objects.outline_NRK3[2, 0, :, 0]
+        grown.scene.objects.radial_profile_NRD3[2, 0, :, 0]
+        / case.scene.objects.radial_profile_NRD3[2, 0, :, 0]
     )
     assert shape.numpy() == pytest.approx(1.3)
     bottom = grown.episode.steps[0].center_N3[0, 2] - grown.episode.steps[0].size_N3[0, 2] / 2

@@ -47,8 +47,8 @@ def random_objects(count: int, num_views: int) -> Objects:
         image_NV3HW=torch.randint(0, 255, (count, num_views, 3, 32, 32), dtype=torch.uint8),
         camera_NV12=torch.rand(count, num_views, 12),
         view_NV=torch.ones(count, num_views, dtype=torch.bool),
-        outline_NRK3=torch.rand(count, 6, 32, 3).half().float(),
-        mass_N3=torch.rand(count, 3),
+        radial_profile_NRD3=torch.rand(count, 6, 32, 3).half().float(),
+        com_offset_N3=torch.rand(count, 3),
     )
 
 
@@ -130,7 +130,9 @@ def test_a_split_is_seen_under_the_settings_asked_for_and_as_with_all(tmp_path: 
     of_all = {draw.setting: draw for draw in every.episode(0)[0]}
     for draw in draws:
         assert draw.views == of_all[draw.setting].views
-        assert torch.equal(draw.objects.outline_NRK3, of_all[draw.setting].objects.outline_NRK3)
+        assert torch.equal(
+            draw.objects.radial_profile_NRD3, of_all[draw.setting].objects.radial_profile_NRD3
+        )
     assert {row["num_views"] for row in detections} == {1}
     tensors, _, _ = perceive_split(replace(few, source=world), tmp_path)
     write_objects(tmp_path / "o.safetensors", tensors, list(few.settings))

@@ -139,8 +139,8 @@ class Oracle:
             image_NV3HW=torch.zeros(count, 1, 3, 32, 32, dtype=torch.uint8),
             camera_NV12=torch.zeros(count, 1, 12),
             view_NV=torch.ones(count, 1, dtype=torch.bool),
-            outline_NRK3=torch.zeros(count, 6, 32, 3),
-            mass_N3=torch.zeros(count, 3),
+            radial_profile_NRD3=torch.zeros(count, 6, 32, 3),
+            com_offset_N3=torch.zeros(count, 3),
         )
 
 

@@ -32,8 +32,8 @@ def _belief() -> StateEstimate:
         image_NV3HW=torch.zeros(count, 1, 3, 32, 32, dtype=torch.uint8),
         camera_NV12=torch.zeros(count, 1, 12),
         view_NV=torch.ones(count, 1, dtype=torch.bool),
-        outline_NRK3=torch.zeros(count, 6, 32, 3),
-        mass_N3=torch.zeros(count, 3),
+        radial_profile_NRD3=torch.zeros(count, 6, 32, 3),
+        com_offset_N3=torch.zeros(count, 3),
     )
     picture = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
     return StateEstimate(objects, CENTERS, size.numpy(), np.ones(count, dtype=bool), picture)

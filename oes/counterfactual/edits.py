@@ -86,8 +86,8 @@ def resize_object(case: Scenario, i: int, factor: float, window: Grid) -> Scenar
     changed["crop_NCXYZ"][i] = sample(crop_CXYZ[None].float(), window, points)[0].T.reshape(
         crop_CXYZ.shape
     )
-    changed["outline_NRK3"][i] = scale_profiles(objects.outline_NRK3[i], factor)
-    for name in ("size_N3", "mass_N3"):
+    changed["radial_profile_NRD3"][i] = scale_profiles(objects.radial_profile_NRD3[i], factor)
+    for name in ("size_N3", "com_offset_N3"):
         changed[name][i] *= factor
     changed["center_N3"][i] += up
     objects = Objects(**changed)

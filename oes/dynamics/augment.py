@@ -113,8 +113,8 @@ def transform_objects(
             flip_B[:, None, None, None, None, None], seen.image_NV3HW.flip(-1), seen.image_NV3HW
         ),
         camera_NV12=_cameras(seen.camera_NV12, M, flip_B),
-        outline_NRK3=_outlines(seen.outline_NRK3, M, shift_BN3),
-        mass_N3=(seen.mass_N3 - shift_BN3) @ M.mT,
+        radial_profile_NRD3=_outlines(seen.radial_profile_NRD3, M, shift_BN3),
+        com_offset_N3=(seen.com_offset_N3 - shift_BN3) @ M.mT,
     )
 
 

@@ -103,7 +103,7 @@ def training_examples(
         first.crop_NCXYZ.shape[-1],
         cfg.voxel_m,
         first.image_NV3HW.shape[-1],
-        *first.outline_NRK3.shape[1:3],
+        *first.radial_profile_NRD3.shape[1:3],
     )
     data = examples(
         [(_needed(kind, cfg, objects), truth.tolist()) for objects, truth, _ in found],
@@ -121,7 +121,9 @@ def _needed(kind: type[GraphModel], cfg: TaskConfig, objects: Objects) -> Object
     channels = cfg.net.crop.read if kind.READS_CROPS else 0
     objects = replace(objects, crop_NCXYZ=objects.crop_NCXYZ[:, :channels].half())
     if not kind.READS_SURFACES:
-        objects = replace(objects, outline_NRK3=objects.outline_NRK3[:, :1, :1].clone())
+        objects = replace(
+            objects, radial_profile_NRD3=objects.radial_profile_NRD3[:, :1, :1].clone()
+        )
     return (
         objects
         if kind.READS_IMAGES

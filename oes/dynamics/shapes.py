@@ -154,12 +154,12 @@ class ObjectShapes:
 
 def shapes_of(objects: Objects) -> ObjectShapes:
     """The surfaces of batched objects as first seen."""
-    radius, scale, presence = objects.outline_NRK3.unbind(-1)
+    radius, scale, presence = objects.radial_profile_NRD3.unbind(-1)
     height_BN, tall_BN = objects.center_N3[..., 2], objects.size_N3[..., 2]
     usual_BN = torch.ones_like(height_BN)
     foot_BN = height_BN - base(objects.center_N3, objects.size_N3)
     seen = radius * (presence > MIN_PRESENCE), scale, presence
-    return ObjectShapes(*seen, objects.mass_N3, usual_BN, usual_BN, foot_BN, tall_BN)
+    return ObjectShapes(*seen, objects.com_offset_N3, usual_BN, usual_BN, foot_BN, tall_BN)
 
 
 def unpacked(appearance_BNC: Tensor, rows: int, count: int) -> ObjectShapes:

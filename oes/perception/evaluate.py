@@ -137,12 +137,12 @@ def _surface_errors(
     """Chamfer distance (mm) and error of the normals (degrees) of the completed surface of each
     matched detection.
     """
-    outline_NRK3 = perceiver.surfaces(scene, *boxes, mask_NXYZ)[0].float().cpu()
+    radial_profile_NRD3 = perceiver.surfaces(scene, *boxes, mask_NXYZ)[0].float().cpu()
     foot_N3 = torch.cat([boxes[0][:, :2], base(*boxes)[:, None]], -1)
     top_N = boxes[0][:, 2] + boxes[1][:, 2] / 2 - foot_N3[:, 2]
     errors = []
     for outline, foot_3, top, (true_P3, true_normal_P3) in zip(
-        outline_NRK3, foot_N3, top_N, surfaces, strict=True
+        radial_profile_NRD3, foot_N3, top_N, surfaces, strict=True
     ):
         points_P3, normal_P3 = profile_to_point_cloud(
             outline, perceiver.net.cfg.surface.cylinder, float(top)

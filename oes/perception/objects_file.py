@@ -29,8 +29,8 @@ DTYPES = {
     "image_OV3HW": torch.uint8,
     "camera_OV12": torch.float32,
     "view_OV": torch.bool,
-    "outline_ORK3": torch.float16,
-    "mass_O3": torch.float32,
+    "radial_profile_ORD3": torch.float16,
+    "com_offset_O3": torch.float32,
     "true_radius_ORK": torch.float16,
     "true_mass_O3": torch.float32,
     "episode_D": torch.int32,
@@ -96,16 +96,19 @@ class ObjectStore:
         """
         radius_ORK, seen_ORK3 = (
             self.tensors["true_radius_ORK"].float(),
-            self.tensors["outline_ORK3"].float(),
+            self.tensors["radial_profile_ORD3"].float(),
         )
         sure_ORK = torch.full_like(radius_ORK, MIN_SIGMA_PROFILE_M)
         true_ORK3 = torch.stack([radius_ORK, sure_ORK, (radius_ORK > 0).float()], -1)
         is_true_O = self.tensors["gt_O"] >= 0
-        outline_ORK3 = torch.where(is_true_O[:, None, None, None], true_ORK3, seen_ORK3)
-        mass_O3 = torch.where(
-            is_true_O[:, None], self.tensors["true_mass_O3"], self.tensors["mass_O3"]
+        radial_profile_ORD3 = torch.where(is_true_O[:, None, None, None], true_ORK3, seen_ORK3)
+        com_offset_O3 = torch.where(
+            is_true_O[:, None], self.tensors["true_mass_O3"], self.tensors["com_offset_O3"]
         )
-        tensors = self.tensors | {"outline_ORK3": outline_ORK3, "mass_O3": mass_O3}
+        tensors = self.tensors | {
+            "radial_profile_ORD3": radial_profile_ORD3,
+            "com_offset_O3": com_offset_O3,
+        }
         return ObjectStore(self.settings, tensors, self.start_D)
 
     def scene(self, draw_i: int) -> tuple[Objects, Tensor]:
@@ -123,8 +126,8 @@ class ObjectStore:
             image_NV3HW=part["image_OV3HW"],
             camera_NV12=part["camera_OV12"],
             view_NV=part["view_OV"],
-            outline_NRK3=part["outline_ORK3"].float(),
-            mass_N3=part["mass_O3"],
+            radial_profile_NRD3=part["radial_profile_ORD3"].float(),
+            com_offset_N3=part["com_offset_O3"],
         )
         return objects, part["gt_O"].long()
 
@@ -146,8 +149,8 @@ def pack(
         "image_OV3HW": torch.cat([_padded(scene.image_NV3HW, num_views) for scene in scenes]),
         "camera_OV12": torch.cat([_padded(scene.camera_NV12, num_views) for scene in scenes]),
         "view_OV": torch.cat([_padded(scene.view_NV, num_views) for scene in scenes]),
-        "outline_ORK3": torch.cat([scene.outline_NRK3 for scene in scenes]),
-        "mass_O3": torch.cat([scene.mass_N3 for scene in scenes]),
+        "radial_profile_ORD3": torch.cat([scene.radial_profile_NRD3 for scene in scenes]),
+        "com_offset_O3": torch.cat([scene.com_offset_N3 for scene in scenes]),
         "true_radius_ORK": torch.cat([draw.truth[0] for draw in draws]),
         "true_mass_O3": torch.cat([draw.truth[1] for draw in draws]),
         "episode_D": torch.tensor([draw.episode_i for draw in draws]),

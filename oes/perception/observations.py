@@ -168,7 +168,7 @@ class ScenePerceiver:
         """True outlines' radii NRK and centres of mass N3 of perceived objects, from their
         perceived centres.
         """
-        radius_NRK = torch.full(objects.outline_NRK3.shape[:-1], torch.nan)
+        radius_NRK = torch.full(objects.radial_profile_NRD3.shape[:-1], torch.nan)
         mass_N3 = torch.full_like(objects.center_N3, torch.nan)
         found = np.flatnonzero(gt_N >= 0)
         foot_N3 = objects.center_N3.clone()

@@ -172,8 +172,8 @@ class Perceiver:
         """
         boxes = (centers_N3.float().cpu(), sizes_N3.float().cpu())
         crops = self.crops(scene, boxes[0][None], boxes[1][None])[0]
-        outline_NRK3, mass_N3 = self.surfaces(scene, *boxes, crops[:, 0])
-        surface = (outline_NRK3.float().cpu(), mass_N3.float().cpu())
+        radial_profile_NRD3, mass_N3 = self.surfaces(scene, *boxes, crops[:, 0])
+        surface = (radial_profile_NRD3.float().cpu(), mass_N3.float().cpu())
         return objects_of(
             boxes, scores_N.float().cpu(), crops.float().cpu(), surface, frames, cameras
         )
@@ -237,8 +237,8 @@ def objects_of(
         image_NV3HW=image_crops(boxes, frames, cameras),
         camera_NV12=rows.expand(count, -1, -1).clone(),
         view_NV=torch.ones(count, len(cameras), dtype=torch.bool),
-        outline_NRK3=surface[0],
-        mass_N3=surface[1],
+        radial_profile_NRD3=surface[0],
+        com_offset_N3=surface[1],
     )
 
 
