@@ -31,6 +31,7 @@ SHARED = "a section of its own"
 Shared = Annotated[Params, SHARED]
 """Type of a field whose value stands once in params.yaml, in a section named like the field."""
 
+PARAMS = Path("params.yaml")
 KEY_ERRORS = {"unexpected_keyword_argument": "unknown key", "missing": "missing"}
 
 

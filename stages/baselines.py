@@ -11,8 +11,9 @@ import torch
 from oes.baselines.clips import read_clips
 from oes.baselines.evaluate import forecast_rows
 from oes.baselines.train import BaselinesConfig, save_baseline, train_baseline
+from oes.cli import run
 from oes.csv_io import columns_of, write_csv
-from oes.stage import publish, run, work_dir
+from oes.stage import publish, work_dir
 
 
 def main(cfg: BaselinesConfig, model: str, overhead: Path, out: Path) -> None:

@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+from oes.cli import run
 from oes.csv_io import columns_of, write_csv
 from oes.dynamics import MODELS, VARIANTS
 from oes.dynamics.checkpoint import save_model
@@ -10,7 +11,7 @@ from oes.dynamics.learn import build_model
 from oes.dynamics.train import DynamicsConfig
 from oes.perception.objects_file import read_objects
 from oes.record.dataset import read_states
-from oes.stage import StageError, publish, run, work_dir
+from oes.stage import StageError, publish, work_dir
 
 
 def main(

@@ -4,12 +4,13 @@ a trajectory.
 
 from pathlib import Path
 
+from oes.cli import run
 from oes.episodes.capture import capture_split
 from oes.episodes.dataset_card import statistics, write_card
 from oes.record.dataset import read_states
 from oes.record.index import write_index
 from oes.sim.simulate import EpisodesConfig
-from oes.stage import publish, run, work_dir
+from oes.stage import publish, work_dir
 
 
 def main(cfg: EpisodesConfig, task: str, split: str, meshes: Path, out: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import torch
 
+from oes.cli import run
 from oes.counterfactual.counterfactuals import EDIT_COLUMNS
 from oes.counterfactual.evaluate import CONSISTENCY_COLUMNS, RENDER_COLUMNS
 from oes.counterfactual.study import FUTURES_TABLES, FuturesConfig, FuturesRunner
@@ -15,7 +16,7 @@ from oes.dynamics.checkpoint import load_model
 from oes.meshes.catalogue import load_catalogue
 from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
-from oes.stage import publish, run, work_dir
+from oes.stage import publish, work_dir
 
 MODELS = ("oes", "graph_xyz")
 COLUMNS = dict(

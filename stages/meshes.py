@@ -4,8 +4,8 @@ split in two.
 
 from pathlib import Path
 
+from oes.cli import run
 from oes.meshes.build import MeshesConfig, build_catalogue
-from oes.stage import run
 
 
 def main(cfg: MeshesConfig, out: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import torch
 
+from oes.cli import run
 from oes.csv_io import write_csv
 from oes.meshes.catalogue import TRAIN, load_catalogue
 from oes.perception.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
@@ -16,7 +17,7 @@ from oes.perception.observations import ObjectsConfig, ScenePerceiver, perceive_
 from oes.perception.perceiver import Perceiver
 from oes.perception.solids import solids_of
 from oes.record.dataset import FrameSource
-from oes.stage import publish, run, work_dir
+from oes.stage import publish, work_dir
 
 
 def main(

@@ -1,4 +1,4 @@
-"""overhead: what a fixed camera above the table sees of every state of the pushing episodes, without
+"""overhead: images of every state of the pushing episodes from a fixed camera above the table, without
 the arm.
 """
 
@@ -6,9 +6,10 @@ from pathlib import Path
 
 from oes.baselines.clips import write_clips
 from oes.baselines.overhead_render import OverheadConfig, make_clips
+from oes.cli import run
 from oes.meshes.catalogue import load_catalogue
 from oes.record.dataset import read_states
-from oes.stage import publish, run, work_dir
+from oes.stage import publish, work_dir
 
 
 def main(cfg: OverheadConfig, split: str, meshes: Path, episodes: Path, out: Path) -> None:

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import torch
 
+from oes.cli import run
 from oes.csv_io import columns_of, write_csv
 from oes.meshes.catalogue import load_catalogue
 from oes.perception.gt_profiles import GroundTruthProfiles
 from oes.perception.solids import solids_of
 from oes.perception.train import PerceptionConfig, train_perception
 from oes.record.dataset import FrameSource
-from oes.stage import publish, run, work_dir
+from oes.stage import publish, work_dir
 
 
 def main(cfg: PerceptionConfig, meshes: Path, episodes: Path, out: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from PIL import Image
 from tqdm import tqdm
 
+from oes.cli import run
 from oes.csv_io import write_csv
 from oes.dynamics.checkpoint import load_any_model
 from oes.evaluation.evaluate_forecasts import (
@@ -23,7 +24,7 @@ from oes.evaluation.forecasters import RolloutsConfig, make_forecaster, with_ora
 from oes.meshes.catalogue import load_catalogue
 from oes.perception.objects_file import read_objects
 from oes.record.dataset import read_states
-from oes.stage import publish, run, work_dir
+from oes.stage import publish, work_dir
 
 
 def main(

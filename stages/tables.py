@@ -4,10 +4,12 @@ films worth keeping.
 
 from pathlib import Path
 
+from oes.cli import run
+from oes.config import PARAMS
 from oes.report.build import build
 from oes.report.findings import Inputs, Tables
 from oes.report.provenance import read_seeds
-from oes.stage import PARAMS, publish, run, work_dir
+from oes.stage import publish, work_dir
 
 
 def main(

@@ -5,8 +5,9 @@ some.
 import shutil
 from pathlib import Path
 
+from oes.cli import run
 from oes.csv_io import write_csv
-from oes.stage import publish, run, work_dir
+from oes.stage import publish, work_dir
 from oes.trials.results import TRIAL_COLUMNS, trial_rows, write_videos
 from oes.trials.runner import TrialInputs, TrialsConfig, run_trials
 

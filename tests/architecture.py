@@ -19,7 +19,7 @@ from oes.stage import imports, reached
 
 # From the bottom up: a module or package of oes may import only those before it.
 ORDER = (
-    "config", "jit", "episode", "geom", "objects", "csv_io", "stage", "metrics", "training", "viz", "report",
+    "config", "jit", "episode", "geom", "objects", "csv_io", "progress", "cli", "stage", "metrics", "training", "viz", "report",
     "meshes", "sim", "render", "record", "episodes", "perception", "dynamics", "baselines", "mpc", "evaluation",
     "counterfactual", "trials", "apps",
 )  # fmt: skip

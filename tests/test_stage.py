@@ -21,8 +21,10 @@ COUNT = '''
 """count: writes one file a number."""
 import time
 from pathlib import Path
+from typing import Annotated
 from oes.config import params
-from oes.stage import publish, run, work_dir
+from oes.cli import run
+from oes.stage import publish, work_dir
 
 @params
 class Count:
@@ -32,7 +34,9 @@ class Count:
 class CountError(ValueError):
     pass
 
-def main(cfg: Count, word: str, source: Path, out: Path) -> None:
+def main(
+    cfg: Count, word: Annotated[str, "a word"], source: Annotated[Path, "a file"], out: Path
+) -> None:
     if word == "typed":
         raise CountError("source:\\n  broken")
     if word == "bug":
@@ -60,10 +64,10 @@ class Small:
 
 @pytest.fixture
 def repo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A scratch repository with the real oes/config.py and oes/stage.py and one toy stage."""
+    """A scratch repository with the real cli, config and stage modules and one toy stage."""
     (tmp_path / "oes").mkdir()
     (tmp_path / "stages").mkdir()
-    for name in ("__init__", "config", "stage"):
+    for name in ("__init__", "cli", "config", "stage"):
         (tmp_path / f"oes/{name}.py").write_text(
             (ROOT / f"oes/{name}.py").read_text(encoding="utf-8"), encoding="utf-8"
         )
@@ -118,25 +122,21 @@ def test_output_appears_and_work_is_gone(repo: Path) -> None:
     assert [p.name for p in (repo / ".work/count/one").iterdir()] == ["lock"]
 
 
-def test_killed_stage_goes_on(repo: Path) -> None:
+def test_killed_stage_resumes(repo: Path) -> None:
     process = start_and_hold(repo)
     status, text = finish(start())
-    assert (status, "already being made by process" in text, str(process.pid) in text) == (
-        1,
-        True,
-        True,
-    )
+    assert (status, "is making it" in text, str(process.pid) in text) == (1, True, True)
     assert end(process, signal.SIGKILL)[0] == -signal.SIGKILL
     assert not (repo / "datasets").exists()
     status, text = finish(start())
     assert status == 0
-    assert "going on from" in text
+    assert "resuming from" in text
     assert (repo / "made.log").read_text().split() == [str(i) for i in range(6)]
     assert len(list((repo / "datasets/count/one").iterdir())) == 6
 
 
 @pytest.mark.parametrize("what", ["cfg", "code", "input", "word"])
-def test_changed_stamp_drops_the_work(repo: Path, what: str) -> None:
+def test_changed_stamp_deletes_the_work(repo: Path, what: str) -> None:
     end(start_and_hold(repo), signal.SIGKILL)
     if what == "code":
         (repo / "oes/__init__.py").write_text('"""Changed."""\n')
@@ -146,7 +146,7 @@ def test_changed_stamp_drops_the_work(repo: Path, what: str) -> None:
         (repo / "params.yaml").write_text("count: {total: 6, scale: 2}\n")
     status, text = finish(start("two" if what == "word" else "one"))
     assert status == 0
-    assert "earlier unfinished work is dropped" in text
+    assert "unfinished work is deleted" in text
     assert (repo / "made.log").read_text().split() == [str(i) for i in [0, 1, 2, 0, 1, 2, 3, 4, 5]]
 
 
@@ -179,7 +179,7 @@ def test_bugs_keep_their_traceback(repo: Path) -> None:
 
 @pytest.mark.parametrize("name", [signal.SIGINT, signal.SIGTERM])
 def test_interrupt_is_one_line(repo: Path, name: signal.Signals) -> None:
-    assert end(start_and_hold(repo), name) == (1, "count: stopped; run it again to go on\n")
+    assert end(start_and_hold(repo), name) == (1, "count: stopped; the next run resumes it\n")
 
 
 def test_missing_flag_is_named(repo: Path) -> None:
@@ -248,3 +248,11 @@ def test_reached_follows_lazy_and_package_imports(tmp_path: Path) -> None:
         str(path.relative_to(tmp_path)) for path in reached([tmp_path / "stages/s.py"], tmp_path)
     }
     assert names == set(files) - {"oes/b/z.py"}
+
+
+def test_help_names_the_module_and_describes_every_flag(repo: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "stages.count", "--help"], capture_output=True, text=True, check=True
+    )
+    assert "usage: python -m stages.count" in result.stdout
+    assert all(text in result.stdout for text in ("a word", "a file", "folder to write"))

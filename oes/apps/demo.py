@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oes.apps.evaluate import KEPT, TRAINED, find_weights
-from oes.config import load, params
+from oes.cli import run
+from oes.config import PARAMS, load, params
 from oes.episode import Body, Floats, Step
 from oes.meshes.build import MeshesConfig, build_catalogue
 from oes.meshes.catalogue import Catalogue, load_catalogue
@@ -24,7 +25,6 @@ from oes.mpc.search import Plan
 from oes.perception.perceiver import Perceiver
 from oes.sim.rig import rig
 from oes.sim.world import SimConfig, World
-from oes.stage import PARAMS, run
 from oes.trials.loop import StepRecord, TrialResult, run_trial
 from oes.trials.runner import CAMERAS, PLANS, TASKS, CameraSensor, TrialsConfig, make_planner
 from oes.trials.task import Task, TrialScenario, draw_task, generator

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import torch
 
-from oes.config import load, params
+from oes.cli import run
+from oes.config import PARAMS, load, params
 from oes.csv_io import write_csv
 from oes.dynamics import MODELS
 from oes.dynamics.checkpoint import load_any_model as load_dynamics
@@ -38,7 +39,7 @@ from oes.report.rows import ERRORS, read_columns
 from oes.report.study import forecast_tables, forecasts
 from oes.report.table import markdown, write_table
 from oes.sim.simulate import EpisodesConfig, SplitConfig
-from oes.stage import PARAMS, publish, run, work_dir
+from oes.stage import publish, work_dir
 
 TASK, SPLIT = "pushing", "test2"
 TRAINED = Path("datasets")  # where the stages leave weights

@@ -14,7 +14,8 @@ from oes.apps.demo import find_catalogue
 from oes.apps.evaluate import KEPT, TRAINED, find_weights
 from oes.apps.viewer.session import VIEWER_MODEL, Session
 from oes.apps.viewer.viewer import Viewer
-from oes.config import load, params
+from oes.cli import run
+from oes.config import PARAMS, load, params
 from oes.dynamics.checkpoint import load_model
 from oes.episode import PUSHING
 from oes.episodes.capture import capture
@@ -22,7 +23,6 @@ from oes.meshes.catalogue import Catalogue
 from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
 from oes.sim.simulate import EpisodesConfig
-from oes.stage import PARAMS, run
 
 log = logging.getLogger(__name__)
 
