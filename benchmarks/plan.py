@@ -12,7 +12,7 @@ from oes.config import load
 from oes.dynamics import MODELS
 from oes.dynamics.models import GraphModel, InputSpec
 from oes.dynamics.train import DynamicsConfig
-from oes.dynamics.unroll import DynamicsModel, initial_state, unroll_from
+from oes.dynamics.unroll import DynamicsModel, initial_state, unroll_mean
 from oes.objects import Objects
 
 PLANS = ((30, 1), (60, 10))
@@ -23,8 +23,8 @@ SEEN = InputSpec(
     crop_side=16,
     voxel_m=0.01,
     image_side_px=32,
-    outline_rows=10,
-    outline_directions=64,
+    profile_rows=10,
+    profile_directions=64,
 )
 
 
@@ -43,7 +43,7 @@ def scene(seen: InputSpec) -> Objects:
         camera_NV12=torch.zeros(*shape, 1, 12),
         view_NV=torch.ones(*shape, 1, dtype=torch.bool),
         radial_profile_NRD3=torch.tensor([0.035, 0.002, 1.0]).expand(
-            *shape, seen.outline_rows, seen.outline_directions, 3
+            *shape, seen.profile_rows, seen.profile_directions, 3
         ),
         com_offset_N3=torch.zeros(*shape, 3),
     )
@@ -62,7 +62,7 @@ def plan_ms(model: DynamicsModel, objects: Objects, samples: int, horizon: int) 
         state = initial_state(
             *(x.expand(samples, *x.shape[1:]) for x in (objects.center_N3, objects.valid_N))
         )
-        unroll_from(model, appearance.expand(samples, *appearance.shape[1:]), state, tip, actions)
+        unroll_mean(model, appearance.expand(samples, *appearance.shape[1:]), state, tip, actions)
         times.append((time.perf_counter() - start) * 1e3)
     return sorted(times)[REPEATS // 2]
 

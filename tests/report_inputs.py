@@ -139,7 +139,7 @@ def write_errors(folder: Path, task: str) -> None:
         (folder / f"{task}-{model}").mkdir(parents=True)
         write_csv(folder / f"{task}-{model}" / "errors.csv", rows, list(ERRORS))
         for variant in (
-            ("contact_true", "contact_300") if (task, model) == ("pushing", "contact") else ()
+            ("contact_gt", "contact_300") if (task, model) == ("pushing", "contact") else ()
         ):
             (folder / f"{task}-{variant}").mkdir()
             varied = [row | {"model": variant} for row in rows if row["setting"] == "1view_pred"]

@@ -10,7 +10,7 @@ from oes.dynamics.contact import Contact
 from oes.dynamics.encoders.surface_encoder import SurfaceEncoder
 from oes.dynamics.error_model import MIN_SIGMA_M, errors_and_spreads, fit_error_model
 from oes.dynamics.shapes import ShapeUncertainty, shapes_of, unpacked
-from oes.dynamics.unroll import initial_state, rollout_from, teacher_forced, unroll
+from oes.dynamics.unroll import initial_state, unroll_samples, teacher_forced, unroll
 from oes.metrics.errors import error_nll, error_quantile
 from oes.mpc.search import Candidates
 from oes.objects import LAYERS, SUPPORT, Objects
@@ -26,7 +26,7 @@ def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_
     objects = make_objects()
     objects.radial_profile_NRD3[0, 0, 3, :, 2] = 0.05
     shapes = shapes_of(objects)
-    again = unpacked(shapes.packed(), SEEN.outline_rows, SEEN.outline_directions)
+    again = unpacked(shapes.packed(), SEEN.profile_rows, SEEN.profile_directions)
     for name, value in vars(shapes).items():
         assert torch.equal(getattr(again, name), value), name
     assert (shapes.radius_BNRK[0, 0, 3] == 0).all() and (shapes.radius_BNRK[0, 1] > 0).all()
@@ -48,7 +48,7 @@ def test_objects_stand_on_their_foot_or_where_none_is_seen_on_their_lowest_band(
 
 def test_draws_begin_with_the_objects_as_they_seem_and_vary_as_much_as_is_said() -> None:
     shapes = shapes_of(make_objects())
-    drawn = shapes.redrawn(DOUBT, torch.Generator().manual_seed(0))
+    drawn = shapes.sample(DOUBT, torch.Generator().manual_seed(0))
     first = {name: value[: len(shapes.heavy_BN)] for name, value in vars(drawn).items()}
     for name, value in vars(shapes).items():
         torch.testing.assert_close(first[name], value)
@@ -68,25 +68,25 @@ def test_a_forecast_is_the_mean_of_its_futures_and_their_spread_its_doubt() -> N
         objects, center_N3=objects.center_N3 * torch.tensor([1.0, 1.0, 0.0]) + tip[:, None] * 0.5
     )
     model = make_model("contact", objects)
-    assert isinstance(model, Contact) and model.drawn == NET.contact.doubt.draws == 3
+    assert isinstance(model, Contact) and model.num_samples == NET.contact.doubt.draws == 3
     found = unroll(model, objects, tip, actions)
     futures = [
-        rollout_from(
+        unroll_samples(
             model, part, initial_state(objects.center_N3, objects.valid_N), tip, actions
         ).translation_BTN3
-        for part in model.redrawn(model.appearance(objects)).chunk(3)
+        for part in model.sample(model.appearance(objects)).chunk(3)
     ]
     torch.testing.assert_close(
         found.translation_BTN3, torch.stack(futures).mean(0), atol=1e-5, rtol=1e-4
     )
     assert (
         found.spread_BTN is not None
-        and found.scale_BTN is None
+        and found.sigma_BTN is None
         and float(found.spread_BTN.max()) > 1e-4
     )
-    model.certainty = fit_error_model(np.full((5, 50), 0.01), np.full((5, 50), 0.01))
-    assert unroll(model, objects, tip, actions).scale_BTN is not None
-    assert model.train().drawn == 1, "training sees the objects as they seem"
+    model.error_model = fit_error_model(np.full((5, 50), 0.01), np.full((5, 50), 0.01))
+    assert unroll(model, objects, tip, actions).sigma_BTN is not None
+    assert model.train().num_samples == 1, "training sees the objects as they seem"
 
 
 @torch.no_grad()
@@ -124,9 +124,9 @@ def test_a_plan_meets_as_many_futures_as_asked_for_and_drawn(futures: int, draws
     mind = GraphWorldModel(make_model("contact", objects))
     found, once = (mind.imagine(seen, np.zeros((1, 3)), proposals, count) for count in (futures, 1))
     assert mind.draws_futures and found.draws == draws
-    assert found.position_SHN3.shape == (draws * 10, 2, 3, 3)
+    assert found.position_STN3.shape == (draws * 10, 2, 3, 3)
     torch.testing.assert_close(
-        found.position_SHN3[:10], once.position_SHN3, msg="the first is of what is seen"
+        found.position_STN3[:10], once.position_STN3, msg="the first is of what is seen"
     )
 
 
@@ -156,18 +156,20 @@ def test_calibration_finds_the_law_that_errors_were_drawn_from() -> None:
     error_TP = scale_TP * np.sqrt(4.0 * ((1 - level_TP) ** (-2 / 4.0) - 1))
     found = fit_error_model(error_TP, spread_TP)
     assert found.floor_T == pytest.approx((0.001, 0.002, 0.004), rel=0.15)
-    assert found.gain == pytest.approx(1.5, rel=0.05) and found.tail == pytest.approx(4.0, rel=0.15)
-    scale = found.scale(torch.from_numpy(spread_TP)[None]).numpy()[0]
+    assert found.spread_gain == pytest.approx(1.5, rel=0.05) and found.dof == pytest.approx(
+        4.0, rel=0.15
+    )
+    scale = found.sigma(torch.from_numpy(spread_TP)[None]).numpy()[0]
     for level in (0.5, 0.9):
-        assert (error_TP < error_quantile(level, scale, found.tail)).mean() == pytest.approx(
+        assert (error_TP < error_quantile(level, scale, found.dof)).mean() == pytest.approx(
             level, abs=0.01
         )
-    same = np.broadcast_to(np.array(found.same_T)[:, None], scale.shape)
+    same = np.broadcast_to(np.array(found.homoscedastic_sigma_T)[:, None], scale.shape)
     assert (
-        error_nll(error_TP, scale, found.tail).mean()
-        < error_nll(error_TP, same, found.same_tail).mean()
+        error_nll(error_TP, scale, found.dof).mean()
+        < error_nll(error_TP, same, found.homoscedastic_dof).mean()
     )
-    more = found.scale(torch.zeros(1, 5, 1))
+    more = found.sigma(torch.zeros(1, 5, 1))
     assert more[0, 3:, 0].tolist() == [pytest.approx(found.floor_T[-1])] * 2, (
         "later steps count as the last"
     )
@@ -180,8 +182,8 @@ def test_what_rests_does_not_make_the_law_too_sure_of_what_moves() -> None:
     found = fit_error_model(error_TP, spread_TP)
     assert found.floor_T == pytest.approx([MIN_SIGMA_M] * 3)
     moved = spread_TP > 0
-    scale_TP = found.scale(torch.from_numpy(spread_TP)[None]).numpy()[0]
-    assert 0.85 < (error_TP < error_quantile(0.9, scale_TP, found.tail))[moved].mean() < 0.95
+    scale_TP = found.sigma(torch.from_numpy(spread_TP)[None]).numpy()[0]
+    assert 0.85 < (error_TP < error_quantile(0.9, scale_TP, found.dof))[moved].mean() < 0.95
 
 
 def test_lengths_are_of_valid_objects_only() -> None:
@@ -198,7 +200,7 @@ def test_points_know_how_far_they_are_above_and_below_another_object() -> None:
     aside by 20 mm.
     """
     objects = make_objects(scenes=1, num=2)
-    outline = torch.zeros(1, 2, SEEN.outline_rows, SEEN.outline_directions, 3)
+    outline = torch.zeros(1, 2, SEEN.profile_rows, SEEN.profile_directions, 3)
     outline[:, :, :6] = torch.tensor([0.03, 0.001, 1.0])
     size = torch.tensor([0.06, 0.06, 0.05]).expand(1, 2, 3)
     center = torch.tensor([[[0.0, 0.0, 0.025], [0.02, 0.0, 0.105]]])

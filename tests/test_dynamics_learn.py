@@ -57,7 +57,7 @@ CFG = TaskConfig(
     fit=FIT,
     fits={},
     variants={
-        word: Variant(0, word != "contact_step", word != "contact_still", word == "contact_true")
+        word: Variant(0, word != "contact_onestep", word != "contact_noaug", word == "contact_gt")
         for word in VARIANTS
     },
 )
@@ -85,7 +85,7 @@ class Scenes:
         )
         return objects, torch.arange(num)
 
-    def with_true_surfaces(self) -> "Scenes":
+    def with_gt_surfaces(self) -> "Scenes":
         self.are_true = True
         return self
 

@@ -20,9 +20,9 @@ from oes.dynamics.unroll import (
     DynamicsModel,
     advance_state,
     initial_state,
-    rollout_from,
+    unroll_samples,
     unroll,
-    unroll_from,
+    unroll_mean,
 )
 from oes.objects import Objects
 
@@ -56,7 +56,7 @@ NET = NetConfig(
             draws=3, outline=1.0, waves=2, mass_m=0.002, log_mass=0.1, log_friction=0.1
         ),
         step_s=0.2,
-        true_surfaces=False,
+        gt_surfaces=False,
     ),
 )
 FALLING, SURFACES_FALLING = (
@@ -78,8 +78,8 @@ SEEN = InputSpec(
     crop_side=16,
     voxel_m=0.01,
     image_side_px=32,
-    outline_rows=7,
-    outline_directions=32,
+    profile_rows=7,
+    profile_directions=32,
 )
 VIEWS = 2
 ZERO = torch.zeros(3, 3, 3)
@@ -108,7 +108,7 @@ def make_outlines(scenes: int, num: int, g: torch.Generator) -> Tensor:
     angle_K = torch.arange(32) * (2 * torch.pi / 32)
     waist = torch.rand(scenes, num, 1, 1, generator=g) * 0.01
     radius = 0.03 + waist * (angle_K + torch.rand(scenes, num, 1, 1, generator=g)).cos().square()
-    radius = radius.expand(-1, -1, SEEN.outline_rows, -1)
+    radius = radius.expand(-1, -1, SEEN.profile_rows, -1)
     return torch.stack([radius, torch.full_like(radius, 0.002), torch.ones_like(radius)], -1)
 
 
@@ -225,7 +225,7 @@ def test_unrolling_is_repeated_stepping(word: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model(word, objects)
     appearance, state = model.appearance(objects), initial_state(objects.center_N3, objects.valid_N)
-    found = rollout_from(model, appearance, state, tip, actions)
+    found = unroll_samples(model, appearance, state, tip, actions)
     for t, action in enumerate(actions.unbind(1)):
         state = advance_state(state, model(appearance, state, tip + actions[:, :t].sum(1), action))
         torch.testing.assert_close(found.translation_BTN3[:, t], state.moved_BN3)
@@ -275,11 +275,11 @@ def test_a_turned_object_is_met_in_its_own_axes() -> None:
     model = make_model("oes", objects)
     appearance, state = model.appearance(objects), initial_state(objects.center_N3, objects.valid_N)
     turn = turn_flip(torch.full((3,), 0.7), torch.zeros(3, dtype=torch.bool))
-    here = unroll_from(model, appearance, state, tip, actions)
+    here = unroll_mean(model, appearance, state, tip, actions)
     turned_state = replace(
         state, center_BN3=state.center_BN3 @ turn.mT, turned_BN33=turn[:, None] @ state.turned_BN33
     )
-    there = unroll_from(
+    there = unroll_mean(
         model, appearance, turned_state, (turn @ tip[..., None])[..., 0], actions @ turn.mT
     )
     torch.testing.assert_close(

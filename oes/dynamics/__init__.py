@@ -19,6 +19,6 @@ MODELS: dict[str, type[nn.Module]] = {
 }
 
 VARIANTS = dict.fromkeys(
-    ("contact_true", "contact_still", "contact_step", "contact_100", "contact_300"), "contact"
+    ("contact_gt", "contact_noaug", "contact_onestep", "contact_100", "contact_300"), "contact"
 )
 """Models of ``MODELS`` trained otherwise, for the ablations, by word."""

@@ -30,7 +30,7 @@ def save_model(folder: Path, model: nn.Module) -> None:
     about = {"format": DYNAMICS_FORMAT, "model": word}
     if isinstance(model, GraphModel):
         about |= {"net": to_json(model.net), "seen": to_json(model.seen)}
-        about |= {"certainty": to_json(model.certainty)} if model.certainty is not None else {}
+        about |= {"certainty": to_json(model.error_model)} if model.error_model is not None else {}
     write_tensors(model.state_dict(), folder / MODEL_FILE, about)
 
 
@@ -65,7 +65,7 @@ def load_any_model(folder: Path) -> DynamicsModel | Simulator:
         net = from_json(about.get("net", "null"), NetConfig, f"{path}: net")
         model = kind(net, from_json(about.get("seen", "null"), InputSpec, f"{path}: seen"))
         if "certainty" in about:
-            model.certainty = from_json(about["certainty"], ErrorModel, f"{path}: certainty")
+            model.error_model = from_json(about["certainty"], ErrorModel, f"{path}: certainty")
     else:
         model = kind()
     try:

@@ -41,7 +41,7 @@ class Contact(GraphModel):
         self.sight = SurfaceEncoder(cfg.skin, net.graph.unit_m)
 
     @property
-    def drawn(self) -> int:
+    def num_samples(self) -> int:
         """How many futures make up a forecast."""
         return 1 if self.training else self.net.contact.doubt.draws
 
@@ -53,10 +53,10 @@ class Contact(GraphModel):
         """``look``: mirror images are learned, not averaged over."""
         return self.look(objects)
 
-    def redrawn(self, appearance_BNC: Tensor) -> Tensor:
+    def sample(self, appearance_BNC: Tensor) -> Tensor:
         """The objects as they seem and as they might be instead, always in the same ways."""
         generator = torch.Generator().manual_seed(SEED)
-        return self._shapes(appearance_BNC).redrawn(self.net.contact.doubt, generator).packed()
+        return self._shapes(appearance_BNC).sample(self.net.contact.doubt, generator).packed()
 
     def forward(
         self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
@@ -116,4 +116,4 @@ class Contact(GraphModel):
         return StepMotion(dp_BN3, spin_BN3, pose.twist_BN3)
 
     def _shapes(self, appearance_BNC: Tensor) -> ObjectShapes:
-        return unpacked(appearance_BNC, self.seen.outline_rows, self.seen.outline_directions)
+        return unpacked(appearance_BNC, self.seen.profile_rows, self.seen.profile_directions)

@@ -1,6 +1,4 @@
-"""How sure a forecast is: the spread of its draws, made into a scale of its error that held-out
-episodes bear out.
-"""
+"""Predictive uncertainty: the spread of a model's samples, calibrated on held-out episodes."""
 
 from dataclasses import dataclass
 
@@ -13,78 +11,68 @@ from oes.episode import Floats
 from oes.metrics.errors import error_nll
 
 MM_M = 1e-3
-MIN_SIGMA_M = 3e-4  # of a scale: what rests settles by tenths of that, and a law made for it would be too sure of the rest
-START_TAIL, LEAST_TAIL = 2.0, 0.5
+# Lower bound of sigma (metres): resting objects err by a tenth of it, and a law fitted to them
+# would be overconfident about the moving ones.
+MIN_SIGMA_M = 3e-4
+INITIAL_DOF, MIN_DOF = 2.0, 0.5
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """The scale of an error (metres; see ``oes.metrics.errors.error_nll`` for the law, of tail
-    ``tail``) is the root of the squares of ``floor_T`` and of ``gain`` times the spread of the
-    draws. ``same_T`` and ``same_tail``: the best law that is the same for all objects, for
-    comparison.
+    """Law of translation errors: a 2D Student t (``oes.metrics.errors.error_quantile``).
+
+    It has ``dof`` degrees of freedom and, at step t, sigma^2 = floor_T[t]^2 + (spread_gain *
+    spread)^2 (metres). ``homoscedastic_sigma_T`` and ``homoscedastic_dof`` are the best law that
+    ignores the spread, for comparison.
     """
 
     floor_T: tuple[float, ...]
-    gain: float
-    tail: float
-    same_T: tuple[float, ...]
-    same_tail: float
+    spread_gain: float
+    dof: float
+    homoscedastic_sigma_T: tuple[float, ...]
+    homoscedastic_dof: float
 
-    def scale(self, spread_BTN: Tensor) -> Tensor:
-        """Scales BTN (metres) of forecasts whose draws spread so far; steps beyond the known count
-        as the last.
-        """
-        steps = spread_BTN.shape[1]
-        floor_T = spread_BTN.new_tensor(
-            [self.floor_T[min(t, len(self.floor_T) - 1)] for t in range(steps)]
-        )
-        return (floor_T[:, None].square() + (self.gain * spread_BTN).square()).sqrt()
+    def sigma(self, spread_BTN: Tensor) -> Tensor:
+        """Sigma BTN (metres) for spreads BTN; steps beyond the fitted ones use the last floor."""
+        floor = [*self.floor_T, *self.floor_T[-1:] * spread_BTN.shape[1]][: spread_BTN.shape[1]]
+        floor_T1 = spread_BTN.new_tensor(floor)[:, None]
+        return (floor_T1.square() + (self.spread_gain * spread_BTN).square()).sqrt()
 
 
 def fit_error_model(error_TP: Floats, spread_TP: Floats) -> ErrorModel:
-    """The certainty under which the errors of P held-out forecasts at T steps (metres) are
-    likeliest.
-    """
+    """Maximum-likelihood error model of P held-out forecasts over T steps (metres)."""
     steps = len(error_TP)
-    found = _likeliest(
-        error_TP,
-        spread_TP,
-        np.append(np.log(np.median(error_TP, 1) + MM_M), [0.0, np.log(START_TAIL)]),
-    )
-    same = _likeliest(error_TP, 0 * spread_TP, found)
+    initial = np.append(np.log(np.median(error_TP, 1) + MM_M), [0.0, np.log(INITIAL_DOF)])
+    best = _minimize_nll(error_TP, spread_TP, initial)
+    homoscedastic = _minimize_nll(error_TP, 0 * spread_TP, best)
     return ErrorModel(
-        floor_T=tuple(np.exp(found[:steps]).tolist()),
-        gain=float(np.exp(found[steps])),
-        tail=LEAST_TAIL + float(np.exp(found[-1])),
-        same_T=tuple(np.exp(same[:steps]).tolist()),
-        same_tail=LEAST_TAIL + float(np.exp(same[-1])),
+        floor_T=tuple(np.exp(best[:steps]).tolist()),
+        spread_gain=float(np.exp(best[steps])),
+        dof=MIN_DOF + float(np.exp(best[-1])),
+        homoscedastic_sigma_T=tuple(np.exp(homoscedastic[:steps]).tolist()),
+        homoscedastic_dof=MIN_DOF + float(np.exp(homoscedastic[-1])),
     )
 
 
-def _likeliest(error_TP: Floats, spread_TP: Floats, start: Floats) -> Floats:
-    """Logarithms of the floors T, of the gain and of the tail above the least."""
+def _minimize_nll(error_TP: Floats, spread_TP: Floats, initial: Floats) -> Floats:
+    """Logarithms of the T floors, of the spread gain and of dof - ``MIN_DOF``."""
     steps = len(error_TP)
 
-    def cost(x: NDArray[np.float64]) -> float:
-        floor_T, gain = np.exp(x[:steps]), np.exp(x[steps])
-        scale_TP = np.hypot(floor_T[:, None], gain * spread_TP)
-        return float(
-            np.mean(error_nll(error_TP / MM_M, scale_TP / MM_M, LEAST_TAIL + np.exp(x[-1])))
-        )
+    def mean_nll(x: NDArray[np.float64]) -> float:
+        floor_T, spread_gain = np.exp(x[:steps]), np.exp(x[steps])
+        sigma_TP = np.hypot(floor_T[:, None], spread_gain * spread_TP)
+        return float(np.mean(error_nll(error_TP / MM_M, sigma_TP / MM_M, MIN_DOF + np.exp(x[-1]))))
 
     bounds = [(np.log(MIN_SIGMA_M), 0.0)] * steps + [(-5.0, 5.0), (-5.0, 5.0)]
-    return np.asarray(minimize(cost, start, method="L-BFGS-B", bounds=bounds).x)
+    return np.asarray(minimize(mean_nll, initial, method="L-BFGS-B", bounds=bounds).x)
 
 
 def errors_and_spreads(
-    found_BTN3: Tensor, true_BTN3: Tensor, spread_BTN: Tensor, valid_BN: Tensor
+    predicted_BTN3: Tensor, true_BTN3: Tensor, spread_BTN: Tensor, valid_BN: Tensor
 ) -> tuple[Floats, Floats]:
-    """Errors TP and spreads TP (metres) of the valid objects of a batch, for
-    ``fit_error_model``.
-    """
-    error_BTN = (found_BTN3 - true_BTN3).norm(dim=-1)
+    """Errors TP and spreads TP (metres) of a batch's P valid objects, for ``fit_error_model``."""
+    error_BTN = (predicted_BTN3 - true_BTN3).norm(dim=-1)
     error_TP, spread_TP = (
-        part.movedim(1, 0)[:, valid_BN].double().numpy() for part in (error_BTN, spread_BTN)
+        x_BTN.movedim(1, 0)[:, valid_BN].double().numpy() for x_BTN in (error_BTN, spread_BTN)
     )
     return error_TP, spread_TP

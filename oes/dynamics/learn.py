@@ -32,7 +32,7 @@ class Scenes(Protocol):
     def scene(self, draw_i: int) -> tuple[Objects, Tensor]:
         """The draw's objects and the true object of each (-1: none)."""
 
-    def with_true_surfaces(self) -> "Scenes":
+    def with_gt_surfaces(self) -> "Scenes":
         """The same with the surfaces that the objects truly have."""
 
 
@@ -50,8 +50,8 @@ def build_model(
     kind = MODELS[VARIANTS.get(word, word)]
     if issubclass(kind, GraphModel):
         settings = cfg.fit_of(VARIANTS.get(word, word))
-        if cfg.net.contact.true_surfaces:
-            scenes = scenes.with_true_surfaces()
+        if cfg.net.contact.gt_surfaces:
+            scenes = scenes.with_gt_surfaces()
         seen, data = training_examples(kind, cfg, scenes, episodes)
         torch.manual_seed(settings.seed)
         learned = kind(cfg.net, seen)
@@ -71,7 +71,7 @@ def variant_config(
     variant = cfg.variants[word]
     return replace(
         cfg,
-        net=replace(cfg.net, contact=replace(cfg.net.contact, true_surfaces=variant.true_surfaces)),
+        net=replace(cfg.net, contact=replace(cfg.net.contact, gt_surfaces=variant.gt_surfaces)),
         augment=cfg.augment if variant.augment else Augment(turn=False, mirror=False, shift_m=0.0),
         unroll=variant.unroll,
     ), dict(list(episodes.items())[: variant.episodes or None])

@@ -63,8 +63,8 @@ class InputSpec:
     crop_side: int
     voxel_m: float
     image_side_px: int
-    outline_rows: int
-    outline_directions: int
+    profile_rows: int
+    profile_directions: int
 
 
 class GraphModel(DynamicsModel):

@@ -63,7 +63,7 @@ class ObjectShapes:
             [*(row.flatten(2) for row in rows), self.mass_BN3, torch.stack(numbers, -1)], -1
         )
 
-    def redrawn(self, cfg: ShapeUncertainty, generator: torch.Generator) -> "ObjectShapes":
+    def sample(self, cfg: ShapeUncertainty, generator: torch.Generator) -> "ObjectShapes":
         """The objects as they seem and, after them, as they might be instead: (DB)N of
         ``cfg.draws`` draws.
 

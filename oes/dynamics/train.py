@@ -31,7 +31,7 @@ class Variant:
     episodes: int
     unroll: bool
     augment: bool
-    true_surfaces: bool
+    gt_surfaces: bool
 
 
 @params
@@ -110,8 +110,8 @@ def train_dynamics(
         )
 
     rows = fit(model, batch_at, loss, cfg.weights, settings, work, torch.device("cpu"), validate)
-    if model.drawn > 1:
-        model.certainty = calibrate(model, examples.batch(held_D))
+    if model.num_samples > 1:
+        model.error_model = calibrate(model, examples.batch(held_D))
     return rows
 
 

@@ -15,14 +15,14 @@ from oes.objects import Objects
 class DynamicsModel(ABC, nn.Module):
     """A one-step forecaster: appearance once, from the first frame, then one call a step."""
 
-    certainty: ErrorModel | None = None
+    error_model: ErrorModel | None = None
 
     @property
-    def drawn(self) -> int:
+    def num_samples(self) -> int:
         """How many futures make up a forecast: 1, but for models that draw what cannot be seen."""
         return 1
 
-    def redrawn(self, appearance_BNC: Tensor) -> Tensor:
+    def sample(self, appearance_BNC: Tensor) -> Tensor:
         """Appearances (DB)NC of all that the model draws, draw by draw; the first is of the objects
         as they seem.
         """
@@ -47,13 +47,13 @@ class Rollout:
 
     ``translation_BTN3`` is the displacement (metres) of the reference point, the box centre at t =
     0; ``rotation_BTN33`` the rotation about it: x goes to rotation (x - center) + center +
-    translation. ``scale_BTN``: how far off the translation may be (metres; see
+    translation. ``sigma_BTN``: how far off the translation may be (metres; see
     ``oes.dynamics.error_model``), of models that tell.
     """
 
     translation_BTN3: Tensor
     rotation_BTN33: Tensor
-    scale_BTN: Tensor | None = None
+    sigma_BTN: Tensor | None = None
     spread_BTN: Tensor | None = None
 
 
@@ -87,10 +87,10 @@ def unroll(model: DynamicsModel, objects: Objects, tip_B3: Tensor, actions_BT3: 
     if not state.valid_BN.shape[1]:  # networks cannot look at nothing
         none = (*actions_BT3.shape[:2], 0, 3)
         return Rollout(actions_BT3.new_zeros(none), actions_BT3.new_zeros(*none, 3))
-    return unroll_from(model, model.appearance(objects), state, tip_B3, actions_BT3)
+    return unroll_mean(model, model.appearance(objects), state, tip_B3, actions_BT3)
 
 
-def unroll_from(
+def unroll_mean(
     model: DynamicsModel,
     appearance_BNC: Tensor,
     state: ObjectState,
@@ -98,22 +98,24 @@ def unroll_from(
     actions_BT3: Tensor,
 ) -> Rollout:
     """As ``unroll``, from any state and a given appearance: the mean of the model's futures."""
-    if model.drawn == 1:
-        return rollout_from(model, appearance_BNC, state, tip_B3, actions_BT3)
-    many = ObjectState(**{name: _repeated(x, model.drawn) for name, x in vars(state).items()})
-    pushes = _repeated(tip_B3, model.drawn), _repeated(actions_BT3, model.drawn)
-    found = rollout_from(model, model.redrawn(appearance_BNC), many, *pushes)
-    translation_DBTN3 = found.translation_BTN3.reshape(model.drawn, *actions_BT3.shape[:2], -1, 3)
+    if model.num_samples == 1:
+        return unroll_samples(model, appearance_BNC, state, tip_B3, actions_BT3)
+    many = ObjectState(**{name: _repeated(x, model.num_samples) for name, x in vars(state).items()})
+    pushes = _repeated(tip_B3, model.num_samples), _repeated(actions_BT3, model.num_samples)
+    found = unroll_samples(model, model.sample(appearance_BNC), many, *pushes)
+    translation_DBTN3 = found.translation_BTN3.reshape(
+        model.num_samples, *actions_BT3.shape[:2], -1, 3
+    )
     mean_BTN3 = translation_DBTN3.mean(0)
     spread_BTN = (translation_DBTN3 - mean_BTN3).square().sum(-1).mean(0).sqrt()
     rotation_BTN33 = roma.special_procrustes(
         found.rotation_BTN33.reshape(*translation_DBTN3.shape, 3).mean(0)
     )
-    scale_BTN = None if model.certainty is None else model.certainty.scale(spread_BTN)
-    return Rollout(mean_BTN3, rotation_BTN33, scale_BTN, spread_BTN)
+    sigma_BTN = None if model.error_model is None else model.error_model.sigma(spread_BTN)
+    return Rollout(mean_BTN3, rotation_BTN33, sigma_BTN, spread_BTN)
 
 
-def rollout_from(
+def unroll_samples(
     model: DynamicsModel,
     appearance_BNC: Tensor,
     state: ObjectState,

@@ -173,12 +173,12 @@ def _sure(found: Forecast, t: int, object_i: int, error_mm: float) -> Calibratio
         return None, None, None, None, None
     scale_mm = float(found.scale_TN[t, object_i]) * 1e3
     within = [
-        int(error_mm < error_quantile(level, np.array(scale_mm), law.tail)) for level in (0.5, 0.9)
+        int(error_mm < error_quantile(level, np.array(scale_mm), law.dof)) for level in (0.5, 0.9)
     ]
-    same_mm = law.same_T[min(t, len(law.same_T) - 1)] * 1e3
+    same_mm = law.homoscedastic_sigma_T[min(t, len(law.homoscedastic_sigma_T) - 1)] * 1e3
     nll = [
         round(float(error_nll(np.array(error_mm), np.array(scale), tail)), 4)
-        for scale, tail in ((scale_mm, law.tail), (same_mm, law.same_tail))
+        for scale, tail in ((scale_mm, law.dof), (same_mm, law.homoscedastic_dof))
     ]
     return round(scale_mm, 4), within[0], within[1], nll[0], nll[1]
 

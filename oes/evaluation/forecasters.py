@@ -100,8 +100,8 @@ def with_oracle_shapes(model: DynamicsModel | Simulator, store: ObjectStore) -> 
     """The perceived objects as a model is to see them: with their true surfaces, if it is an
     ablation that says so.
     """
-    is_told = isinstance(model, GraphModel) and model.net.contact.true_surfaces
-    return store.with_true_surfaces() if is_told else store
+    is_told = isinstance(model, GraphModel) and model.net.contact.gt_surfaces
+    return store.with_gt_surfaces() if is_told else store
 
 
 def _scene(store: ObjectStore, draw_i: int) -> PerceivedScene:
@@ -142,14 +142,14 @@ class ModelForecaster:
             to_gt_objects(scene, episode, *motion)
             for scene, episode, motion in zip(scenes, chosen, motions, strict=True)
         ]
-        if found.scale_BTN is None:
+        if found.sigma_BTN is None:
             return carry
-        scales_BTN = found.scale_BTN.double().numpy()
+        scales_BTN = found.sigma_BTN.double().numpy()
         return [
             replace(
                 forecast,
                 scale_TN=_of_true(scene, scale_TN, len(forecast.detected_N)),
-                certainty=self.model.certainty,
+                certainty=self.model.error_model,
             )
             for forecast, scene, scale_TN in zip(carry, scenes, scales_BTN, strict=True)
         ]

@@ -90,7 +90,7 @@ class ObjectStore:
         """The cameras that saw the draw."""
         return tuple(int(view) for view in self.tensors["views_DV"][draw_i] if view >= 0)
 
-    def with_true_surfaces(self) -> "ObjectStore":
+    def with_gt_surfaces(self) -> "ObjectStore":
         """The same scenes, each object with its true surface and centre of mass; false detections
         as seen.
         """

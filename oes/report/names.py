@@ -17,9 +17,9 @@ MODELS = {
 OURS, BASELINE, SURFACES = "oes", "graph_xyz", "contact"
 
 VARIANTS = {
-    "contact_true": "+ true surfaces",
-    "contact_still": "- augmentation",
-    "contact_step": "- unroll (single steps)",
+    "contact_gt": "+ true surfaces",
+    "contact_noaug": "- augmentation",
+    "contact_onestep": "- unroll (single steps)",
     "contact_300": "300 episodes",
     "contact_100": "100 episodes",
 }

@@ -25,7 +25,7 @@ from oes.baselines.visual_foresight import (
     unroll_pixels,
 )
 from oes.dynamics.checkpoint import load_model
-from oes.dynamics.unroll import DynamicsModel, initial_state, rollout_from
+from oes.dynamics.unroll import DynamicsModel, initial_state, unroll_samples
 from oes.episode import Floats
 from oes.mpc.search import Candidates, Rollouts
 from oes.objects import Objects
@@ -73,7 +73,7 @@ class GraphWorldModel:
     @property
     def draws_futures(self) -> bool:
         """Whether the model does."""
-        return self.model.drawn > 1
+        return self.model.num_samples > 1
 
     @torch.inference_mode()
     def imagine(
@@ -82,23 +82,23 @@ class GraphWorldModel:
         """Appearance is read once; every plan meets the same draws of it, the one of what is seen
         first.
         """
-        samples, objects = len(proposals.actions_SH3), belief.objects
+        samples, objects = len(proposals.actions_ST3), belief.objects
         batched = Objects(**{name: value[None] for name, value in vars(objects).items()})
-        draws = min(self.model.drawn, futures)
+        draws = min(self.model.num_samples, futures)
         appearance_1NC = self.model.appearance(batched)
-        appearance_DNC = self.model.redrawn(appearance_1NC)[:draws] if draws > 1 else appearance_1NC
+        appearance_DNC = self.model.sample(appearance_1NC)[:draws] if draws > 1 else appearance_1NC
         appearance_FNC = appearance_DNC.repeat_interleave(samples, 0)
         tip_F3, actions_FH3 = (
             proposals.tip_S3.repeat(draws, 1),
-            proposals.actions_SH3.repeat(draws, 1, 1),
+            proposals.actions_ST3.repeat(draws, 1, 1),
         )
         state = initial_state(
             *(x.expand(draws * samples, *x.shape[1:]) for x in (batched.center_N3, batched.valid_N))
         )
-        found = rollout_from(self.model, appearance_FNC, state, tip_F3, actions_FH3)
+        found = unroll_samples(self.model, appearance_FNC, state, tip_F3, actions_FH3)
         position_FHN3 = objects.center_N3 + found.translation_BTN3
         return Rollouts(
-            _path(proposals).repeat(draws, 1, 1), position_FHN3, found.rotation_BTN33, draws=draws
+            _path(proposals).repeat(draws, 1, 1), position_FHN3, found.rotation_BTN33, num_samples=draws
         )
 
 
@@ -130,11 +130,11 @@ class ForesightWorldModel:
         position = np.concatenate([above.ground(place_SHN2, height_SHN), height_SHN[..., None]], -1)
         goal_G2 = torch.from_numpy(above.place(goal_G3)).float()
         away_GYX = (pixel_grid(height, width, maps_SHNYX) - goal_G2[:, None, None]).norm(dim=-1)
-        cost_SH = (maps_SHNYX[:, :, : len(goal_G3)] * away_GYX).sum((-2, -1)).mean(
+        cost_ST = (maps_SHNYX[:, :, : len(goal_G3)] * away_GYX).sum((-2, -1)).mean(
             -1
         ) * self.view.half_m
         turned = torch.eye(3).expand(samples, horizon, count, 3, 3)
-        return Rollouts(_path(proposals), torch.from_numpy(position).float(), turned, cost_SH)
+        return Rollouts(_path(proposals), torch.from_numpy(position).float(), turned, cost_ST)
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class PlanetWorldModel:
 def _path(proposals: Candidates) -> Tensor:
     """The rod's places, SI3."""
     tip_S13 = proposals.tip_S3[:, None]
-    return torch.cat([tip_S13, tip_S13 + proposals.actions_SH3.cumsum(1)], 1)
+    return torch.cat([tip_S13, tip_S13 + proposals.actions_ST3.cumsum(1)], 1)
 
 
 def _pushes(above: Overhead, proposals: Candidates) -> tuple[Tensor, Tensor]:

@@ -54,7 +54,7 @@ class ContactConfig:
     physics: ContactPhysics | None
     doubt: ShapeUncertainty
     step_s: float
-    true_surfaces: bool
+    gt_surfaces: bool
 
 
 class PointNet(nn.Module):
