@@ -70,8 +70,8 @@ def flag_parser(module: str, main: Callable[..., None]) -> ArgumentParser:
     )
     hints = get_type_hints(main, include_extras=True)
     for name, parameter in list(inspect.signature(main).parameters.items())[1:]:
-        kind, *notes = [hints[name], *getattr(hints[name], "__metadata__", ())]
-        kind = getattr(kind, "__origin__", kind) if notes else kind
+        kind, notes = hints[name], list(getattr(hints[name], "__metadata__", ()))
+        kind = kind.__origin__ if notes else kind
         about, choices = FLAGS[name] if not notes else (notes[0], None)
         flag = f"--{name.replace('_', '-')}"
         if kind is bool:

@@ -20,7 +20,7 @@ SECONDS_BETWEEN_LINES = 10.0
 LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {remaining} left{postfix}"
 
 
-class _LogLines(tqdm):  # type: ignore[type-arg]
+class _LogLines(tqdm):  # type: ignore[misc]
     """A bar for log files: one line every few seconds instead of a line that is redrawn."""
 
     def display(self, *_: Any, **__: Any) -> bool:
@@ -30,7 +30,7 @@ class _LogLines(tqdm):  # type: ignore[type-arg]
 
 def progress_bar(
     items: Iterable[Item] | None = None, *, total: int, desc: str, unit: str, initial: int = 0
-) -> "tqdm[Item]":
+) -> Any:
     """A tqdm bar on a terminal, log lines elsewhere; both show count, rate and time left."""
     is_terminal = sys.stderr.isatty()
     return (tqdm if is_terminal else _LogLines)(

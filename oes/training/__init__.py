@@ -1,1 +1,1 @@
-"""Training shared by all networks: the loop, its optimizers, checkpoints, tensors on disk."""
+"""Training that all networks share. Imports config and progress only; start reading in ``loop``."""

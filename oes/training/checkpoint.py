@@ -1,13 +1,16 @@
-"""What a training run is made of, and its state on disk: weights, averages, moments, log; nothing
-is unpickled.
+"""Settings of a training run and its state on disk: weights, averages, moments, log.
+
+Checkpoints are safetensors files; nothing is unpickled.
 """
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import torch
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from torch import Tensor, nn
 
 from oes.config import from_json, params, to_json
@@ -16,55 +19,38 @@ from oes.training.tensor_io import read_tensors, write_tensors
 LogRow = dict[str, float]
 
 STATE_FORMAT = "oes-fit-1"
-OPTIMIZERS = ADAMW, MUON = ("adamw", "muon")
+MUON = "muon"
 
 
 @params
 class TrainConfig:
-    """How to train. ``lr`` is the peak; it falls to a hundredth. ``ema_decay`` 0 keeps the last
-    weights instead.
+    """Settings of a training run.
 
-    ``optimizer``: one of ``OPTIMIZERS``; ``muon`` is for weights of two or more dimensions, the
-    rest is AdamW's.
+    ``lr`` is the peak of the schedule. ``clip`` bounds the norm of the gradient. ``ema_decay`` of 0
+    turns weight averaging off. ``bfloat16`` holds only on devices that compute with it natively.
     """
 
-    steps: int
-    batch: int
-    optimizer: str
-    lr: float
-    warmup_steps: int
-    weight_decay: float
-    clip: float
-    ema_decay: float
+    steps: PositiveInt
+    batch: PositiveInt
+    optimizer: Literal["adamw", "muon"]
+    lr: PositiveFloat
+    warmup_steps: NonNegativeInt
+    weight_decay: NonNegativeFloat
+    clip: PositiveFloat
+    ema_decay: Annotated[float, Field(ge=0, lt=1)]
     bfloat16: bool
-    checkpoint_every_steps: int
-    log_every_steps: int
+    checkpoint_every_steps: PositiveInt
+    log_every_steps: PositiveInt
     seed: int
-
-    def __post_init__(self) -> None:
-        """Raises ValueError (a ParamsError when read from params.yaml) for counts that make no
-        sense.
-        """
-        for name in ("steps", "batch", "checkpoint_every_steps", "log_every_steps", "lr", "clip"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} must be positive")
-        if not 0 <= self.ema_decay < 1:
-            raise ValueError("ema_decay must be in [0, 1)")
-        if self.optimizer not in OPTIMIZERS:
-            raise ValueError(
-                f"optimizer must be one of {', '.join(OPTIMIZERS)}; found {self.optimizer!r}"
-            )
 
 
 class TrainingError(ValueError):
-    """Training that cannot go on: a foreign or broken checkpoint, or a loss that is no longer
-    finite.
-    """
+    """Training cannot continue: a foreign or broken checkpoint, or a loss that is not finite."""
 
 
 @dataclass
 class TrainingState:
-    """Everything that changes while training, and so everything that a checkpoint holds."""
+    """Everything that training changes, and so the content of a checkpoint."""
 
     model: nn.Module
     ema: nn.Module | None
@@ -74,7 +60,7 @@ class TrainingState:
 
 
 def save_state(training: TrainingState, path: Path, cfg: TrainConfig) -> None:
-    """Write everything to ``path``, which appears whole."""
+    """Write a checkpoint, whole by rename."""
     tensors = {f"model.{name}": value for name, value in training.model.state_dict().items()}
     if training.ema is not None:
         tensors |= {f"ema.{name}": value for name, value in training.ema.state_dict().items()}
@@ -91,9 +77,7 @@ def save_state(training: TrainingState, path: Path, cfg: TrainConfig) -> None:
 
 
 def restore_state(training: TrainingState, path: Path, cfg: TrainConfig) -> None:
-    """Overwrite ``training`` with what ``save_state`` wrote. Raises TrainingError naming the file and
-    what is wrong with it.
-    """
+    """Load a checkpoint into ``training``. Raises TrainingError naming the file and its fault."""
     tensors, about = read_tensors(path, STATE_FORMAT, TrainingError)
     if from_json(about["cfg"], TrainConfig, str(path)) != cfg:
         raise TrainingError(f"{path}: written under other settings: {about['cfg']}")
@@ -120,9 +104,7 @@ def _trained(training: TrainingState) -> list[tuple[torch.optim.Optimizer, Tenso
 
 
 def _moments(saved: dict[str, Tensor], p: Tensor) -> dict[str, Tensor]:
-    """An optimizer's state of one parameter: the moments in the parameter's own layout, the counter
-    as it was.
-    """
+    # Moments take the parameter's memory layout, else channels-last sums round differently.
     return {
         name: value if name == "step" else torch.empty_like(p, requires_grad=False).copy_(value)
         for name, value in saved.items()

@@ -1,14 +1,13 @@
-"""The one training loop: AdamW or Muon, warm-up and cosine, weight averaging, exact resumption.
+"""The training loop of all networks: AdamW or Muon, warm-up and cosine schedule, weight averaging.
 
 A step depends on its index, the config and the weights alone (batch, learning rate, random
-numbers), so that a run killed at any moment and started again ends in the same weights, bit for
-bit, as one that was never stopped.
+numbers). A run that is killed at any moment and started again therefore ends in the same weights,
+bit for bit, as an uninterrupted one.
 """
 
 import copy
 import logging
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,80 +15,71 @@ from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
-from tqdm import tqdm
 
-from oes.training.checkpoint import (
-    MUON,
-    LogRow,
-    TrainConfig,
-    TrainingError,
-    TrainingState,
-    restore_state,
-    save_state,
-)
+from oes.progress import progress_bar
+from oes.training import checkpoint
+from oes.training.checkpoint import LogRow, TrainConfig, TrainingError, TrainingState
 from oes.training.muon import Muon
 from oes.training.precision import half_precision
 
 __all__ = ["TrainConfig", "TrainingError", "fit", "learning_rate"]
 
+AnyBatch = TypeVar("AnyBatch")
+Loss = Callable[[nn.Module, AnyBatch], Mapping[str, Tensor]]
+Validate = Callable[[nn.Module], Mapping[str, float]]
+
 log = logging.getLogger(__name__)
 
-AnyBatch = TypeVar("AnyBatch")
-
-SECONDS_BETWEEN_LINES = 10.0
 WARM_EMA_STEPS = 10
 
 
 def fit(
     model: nn.Module,
     batch_at: Callable[[int], AnyBatch],
-    loss: Callable[[nn.Module, AnyBatch], Mapping[str, Tensor]],
+    loss: Loss[AnyBatch],
     weights: Mapping[str, float],
     cfg: TrainConfig,
     work: Path,
     device: torch.device,
-    validate: Callable[[nn.Module], Mapping[str, float]] | None = None,
+    validate: Validate | None = None,
 ) -> list[LogRow]:
-    """Train ``model`` in place; return its log: a row every ``log_every_steps`` and at every
-    checkpoint.
+    """Train ``model`` in place and return its log.
 
-    With Muon, AdamW still trains what is no matrix, and the weights of the modules in
-    ``model.outputs`` if it has that. ``batch_at(step)`` runs in a background thread, one batch
-    ahead; it must depend on ``step`` alone and draw from a generator of its own. ``loss(model,
-    batch)`` returns named scalar terms on ``device``, summed with ``weights`` (the same names);
-    random numbers drawn in it from torch's global generator are repeatable. ``validate(model)`` is
-    called without gradients at every checkpoint and at the end; its figures join that row. The
-    averaged weights (if ``ema_decay``) are what it sees and what the caller gets.
+    ``batch_at(step)`` runs in a background thread, one batch ahead. It must depend on ``step``
+    alone and use a generator of its own. ``loss(model, batch)`` returns named scalar terms on
+    ``device``, which are summed with ``weights`` (the same names); it may draw from torch's global
+    generator. ``validate(model)`` runs without gradients at every checkpoint and its metrics join
+    the log. Validation and the caller get the averaged weights if ``cfg.ema_decay`` > 0. Muon
+    trains the matrices; AdamW trains the rest and the modules listed in ``model.outputs``.
 
-    A row holds ``step``, ``lr``, ``loss`` and every term, averaged over the steps since the last
-    row. Progress is kept in ``work/checkpoint.safetensors``. Raises TrainingError.
+    The log has a row every ``log_every_steps`` and at every checkpoint: ``step``, ``lr``, ``loss``
+    and every term, averaged since the last row. ``work/checkpoint.safetensors`` keeps the state.
+    Raises TrainingError.
     """
     training = _begin(model.to(device), cfg)
     path = work / "checkpoint.safetensors"
     if path.exists():
-        restore_state(training, path, cfg)
-        log.info("going on from step %d of %d", training.step, cfg.steps)
+        checkpoint.restore_state(training, path, cfg)
+        log.info("resuming from step %d of %d", training.step, cfg.steps)
     names = list(weights)
     weights_L = torch.tensor([weights[name] for name in names], device=device)
     sums_L = torch.zeros(len(names), dtype=torch.float64)
     model.train()
-    with tqdm(
-        total=cfg.steps, initial=training.step, unit="step", disable=None, mininterval=1
+    batches = _prefetched(batch_at, training.step, cfg.steps)
+    with progress_bar(
+        batches, total=cfg.steps, initial=training.step, desc="training", unit="step"
     ) as bar:
-        lines = _Lines(cfg.steps, training.step, is_on=bool(bar.disable))
-        for batch in _prefetched(batch_at, training.step, cfg.steps):
+        for batch in bar:
             sums_L += _step(training, batch, loss, names, weights_L, cfg)
-            bar.update()
             is_saved = training.step % cfg.checkpoint_every_steps == 0 or training.step == cfg.steps
             if is_saved or training.step % cfg.log_every_steps == 0:
                 training.rows.append(_row(training, sums_L, names, weights_L, cfg))
                 sums_L.zero_()
                 bar.set_postfix_str(_shown(training.rows[-1]), refresh=False)
-                lines.show(training)
             if is_saved:
                 if validate is not None:
                     _validate(training, validate)
-                save_state(training, path, cfg)
+                checkpoint.save_state(training, path, cfg)
     if training.ema is not None:
         model.load_state_dict(training.ema.state_dict())
     model.eval()
@@ -101,7 +91,7 @@ def _begin(model: nn.Module, cfg: TrainConfig) -> TrainingState:
     trained = [p for p in model.parameters() if p.requires_grad]
     weights, rest = [p for p in trained if p.ndim >= 2], [p for p in trained if p.ndim < 2]
     inner: list[nn.Parameter] = []
-    if cfg.optimizer == MUON:
+    if cfg.optimizer == checkpoint.MUON:
         last = {id(p) for module in getattr(model, "outputs", ()) for p in module.parameters()}
         inner = [p for p in weights if id(p) not in last]
         weights = [p for p in weights if id(p) in last]
@@ -118,12 +108,13 @@ def _begin(model: nn.Module, cfg: TrainConfig) -> TrainingState:
 def _step(
     training: TrainingState,
     batch: AnyBatch,
-    loss: Callable[[nn.Module, AnyBatch], Mapping[str, Tensor]],
+    loss: Loss[AnyBatch],
     names: list[str],
     weights_L: Tensor,
     cfg: TrainConfig,
 ) -> Tensor:
     """One update; returns the L loss terms."""
+    # Seeded by the step, so that a resumed run draws the same numbers.
     torch.manual_seed(cfg.seed * 1_000_003 + training.step)
     for optimizer in training.optimizers:
         for group in optimizer.param_groups:
@@ -141,18 +132,14 @@ def _step(
         optimizer.step()
     training.step += 1
     if training.ema is not None:
-        _average(
-            training.ema,
-            training.model,
-            min(cfg.ema_decay, training.step / (training.step + WARM_EMA_STEPS)),
-        )
+        # Early averages forget faster: the first weights are far from the last.
+        decay = min(cfg.ema_decay, training.step / (training.step + WARM_EMA_STEPS))
+        _average(training.ema, training.model, decay)
     return terms_L.detach().double().cpu()
 
 
 def learning_rate(step: int, cfg: TrainConfig) -> float:
-    """Linear from 0 over ``warmup_steps``, then a half cosine from ``lr`` to ``lr / 100`` at the
-    last step.
-    """
+    """Linear warm-up over ``warmup_steps``, then half a cosine from ``lr`` down to ``lr / 100``."""
     if step < cfg.warmup_steps:
         return cfg.lr * (step + 1) / (cfg.warmup_steps + 1)
     done = (step - cfg.warmup_steps) / max(1, cfg.steps - cfg.warmup_steps)
@@ -161,7 +148,7 @@ def learning_rate(step: int, cfg: TrainConfig) -> float:
 
 @torch.no_grad()
 def _average(ema: nn.Module, model: nn.Module, decay: float) -> None:
-    """ema = decay * ema + (1 - decay) * model; what is not a float (counters) is copied."""
+    """ema = decay * ema + (1 - decay) * model; integer buffers (counters) are copied."""
     for old, new in zip(ema.state_dict().values(), model.state_dict().values(), strict=True):
         if old.is_floating_point():
             old.lerp_(new, 1 - decay)
@@ -170,7 +157,7 @@ def _average(ema: nn.Module, model: nn.Module, decay: float) -> None:
 
 
 def _prefetched(batch_at: Callable[[int], AnyBatch], start: int, stop: int) -> Iterator[AnyBatch]:
-    """Batches of steps start..stop-1, the next one made by a thread while the last is used."""
+    """Batches of the steps start..stop-1; a thread makes the next one during a step."""
     with ThreadPoolExecutor(1, thread_name_prefix="batch") as pool:
         coming = pool.submit(batch_at, start) if start < stop else None
         for step in range(start, stop):
@@ -200,35 +187,12 @@ def _row(
 
 
 @torch.no_grad()
-def _validate(
-    training: TrainingState, validate: Callable[[nn.Module], Mapping[str, float]]
-) -> None:
-    figures = validate((training.ema or training.model).eval())
+def _validate(training: TrainingState, validate: Validate) -> None:
+    metrics = validate((training.ema or training.model).eval())
     training.model.train()
-    training.rows[-1] |= figures
-    log.info("step %d: %s", training.step, _shown(dict(figures)))
+    training.rows[-1] |= metrics
+    log.info("step %d: %s", training.step, _shown(dict(metrics)))
 
 
 def _shown(row: LogRow) -> str:
     return " ".join(f"{name} {value:.4g}" for name, value in row.items() if name != "step")
-
-
-class _Lines:
-    """Progress where there is no terminal to draw a bar on: a line now and then."""
-
-    def __init__(self, steps: int, start: int, is_on: bool) -> None:
-        self.steps, self.start, self.is_on = steps, start, is_on
-        self.begun = self.last = time.monotonic()
-
-    def show(self, training: TrainingState) -> None:
-        now, done = time.monotonic(), training.step
-        if self.is_on and (now - self.last > SECONDS_BETWEEN_LINES or done == self.steps):
-            left_s = (now - self.begun) / (done - self.start) * (self.steps - done)
-            log.info(
-                "step %d of %d, %.0f s left: %s",
-                done,
-                self.steps,
-                left_s,
-                _shown(training.rows[-1]),
-            )
-            self.last = now

@@ -1,6 +1,4 @@
-"""Tensors on disk: safetensors files that appear whole and whose bytes depend on their contents
-alone.
-"""
+"""Safetensors files that appear whole, with bytes that depend on their contents alone."""
 
 import json
 import os
@@ -15,18 +13,17 @@ from torch import Tensor
 def write_tensors(tensors: Mapping[str, Tensor], path: Path, about: Mapping[str, str]) -> None:
     """Write named tensors with ``about`` as the file's metadata, whole by rename."""
     part = path.with_name(f"{path.name}.part")
-    part.write_bytes(
-        ordered(save({name: value.contiguous() for name, value in tensors.items()}, dict(about)))
-    )
+    contiguous = {name: value.contiguous() for name, value in tensors.items()}
+    part.write_bytes(ordered(save(contiguous, dict(about))))
     os.replace(part, path)
 
 
 def read_tensors(
     path: Path, form: str, error: type[ValueError]
 ) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Tensors and metadata of a file whose metadata say that its format is ``form``.
+    """Tensors and metadata of a file of the format ``form``.
 
-    Raises ``error``, naming the file and what is wrong: missing, unreadable, of another format.
+    Raises ``error``, naming the file, if it is missing, unreadable or of another format.
     """
     try:
         with safe_open(path, framework="pt") as file:
@@ -35,15 +32,12 @@ def read_tensors(
                 raise error(f"{path}: its format is {about.get('format')!r}, wanted {form!r}")
             return {name: file.get_tensor(name) for name in file.keys()}, about
     except (SafetensorError, OSError) as reason:
-        raise error(
-            f"{path}: not a readable safetensors file: {' '.join(str(reason).split())[:200]}"
-        ) from reason
+        fault = " ".join(str(reason).split())[:200]
+        raise error(f"{path}: not a readable safetensors file: {fault}") from reason
 
 
 def ordered(content: bytes) -> bytes:
-    """A safetensors file with its header in alphabetical order: the library's own order changes
-    from run to run.
-    """
+    """A safetensors file with a sorted header; the library's own order changes from run to run."""
     length = int.from_bytes(content[:8], "little")
     header = json.dumps(json.loads(content[8 : 8 + length]), sort_keys=True).encode()
     header += b" " * (-len(header) % 8)
