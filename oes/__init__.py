@@ -20,11 +20,13 @@ returned.
 
 Clock: ``t_ns`` is simulated time from the start of an episode. No output holds a wall clock.
 
-Shape letters, each with one meaning. B batch, T steps, I states (T + 1), V views, N objects (padded,
-with ``valid_BN``), G goals, S candidate plans, M samples of the future, E edges, P points, Q query
-points, C channels, H W image, X Y Z grid, R rows of a radial profile, D its directions, U observations
-(one episode perceived under one setting), O objects of all observations concatenated, J joints,
-L robot links, F triangle faces. ``K`` alone is the 3x3 intrinsics; an action has 3 components.
+Shape letters, each with one meaning. B batch, T steps, I states (T + 1), V views, N objects
+(padded, with ``valid_BN``), G goals, S candidate plans, M samples of the future, E edges, P points,
+Q query points, C channels, H W image, X Y Z grid, R rows of a radial profile, D its directions,
+U observations (one episode perceived under one setting), O objects of all observations
+concatenated, A bodies of a scene (table, robot, objects), J joints, L robot links, F triangle
+faces. ``K`` alone is the 3x3 intrinsics; an
+action has 3 components.
 
 Segmentation ids: 0 nothing, 1 table, 2 robot, 3 + i object i.
 """

@@ -1,24 +1,15 @@
-"""params.yaml: one section -> one frozen, strictly typed dataclass.
+"""params.yaml: one section becomes one frozen, strictly typed dataclass.
 
-A number exists once, in params.yaml; Python has no defaults. A key that is unknown, missing or of
-the wrong type is an error that names the file and the dotted key, as in ``params.yaml:
-rollouts.noise_m``.
+Every setting stands once, in params.yaml; Python has no defaults. An unknown or missing key and a
+wrong type are errors that name the file and the dotted key: ``params.yaml: rollouts.moved_mm``.
 """
 
 import dataclasses
 import json
+import typing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import (
-    Annotated,
-    Any,
-    TypeVar,
-    cast,
-    dataclass_transform,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, TypeVar, cast
 
 import yaml
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -36,24 +27,20 @@ KEY_ERRORS = {"unexpected_keyword_argument": "unknown key", "missing": "missing"
 
 
 class ParamsError(ValueError):
-    """A params section, or a config stored beside weights, that is not what its dataclass asks
-    for.
-    """
+    """A params section, or a config stored with weights, that does not fit its dataclass."""
 
 
-@dataclass_transform(frozen_default=True)
+@typing.dataclass_transform(frozen_default=True)
 def params(cls: type[Params]) -> type[Params]:
-    """Make a class a frozen dataclass that refuses unknown keys, missing keys and ill-typed
-    values.
-    """
+    """Make a class a frozen dataclass that refuses unknown keys, missing keys and wrong types."""
     config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
     made: Any = dataclass(frozen=True, config=config)(cls)
     return cast(type[Params], made)
 
 
 def shared_sections(cls: type) -> list[str]:
-    """Names of the fields of a section's class that are sections of their own."""
-    hints = get_type_hints(cls, include_extras=True)
+    """Names of the ``Shared`` fields of a section's class."""
+    hints = typing.get_type_hints(cls, include_extras=True)
     return [name for name, hint in hints.items() if SHARED in getattr(hint, "__metadata__", ())]
 
 
@@ -87,14 +74,12 @@ def load(path: Path, section: str, cls: type[Params]) -> Params:
 
 
 def to_json(cfg: object) -> str:
-    """A params dataclass as JSON, for a checkpoint's metadata; keys in the order of the fields."""
+    """A params dataclass as JSON, keys in the order of its fields."""
     return TypeAdapter(type(cfg)).dump_json(cfg).decode()
 
 
 def from_json(text: str, cls: type[Params], source: str = "stored config") -> Params:
-    """The inverse of ``to_json``. Raises ParamsError (naming ``source``) when the text does not fit
-    ``cls``.
-    """
+    """Inverse of ``to_json``. Raises ParamsError naming ``source`` if the text does not fit."""
     return _validated(text, cls, source, "")
 
 
@@ -104,16 +89,13 @@ def _validated(text: str, cls: type[Params], source: str, section: str) -> Param
     except ValidationError as error:
         errors = error.errors(include_url=False)
         problems = [_problem(details, section) for details in errors]
-        valid = [
-            _valid_keys(cls, details["loc"][:-1], section)
-            for details in errors
-            if details["type"] in KEY_ERRORS
-        ]
+        wrong_keys = [details["loc"] for details in errors if details["type"] in KEY_ERRORS]
+        valid = [_valid_keys(cls, loc[:-1], section) for loc in wrong_keys]
         raise ParamsError(f"{source}: " + "; ".join(dict.fromkeys(problems + valid))) from error
 
 
 def _problem(details: ErrorDetails, section: str) -> str:
-    """One error of pydantic as ``section.key: what is wrong``."""
+    """One error of pydantic as ``section.key: problem``."""
     where = _dotted(section, details["loc"])
     if details["type"] in KEY_ERRORS:
         return f"{where}: {KEY_ERRORS[details['type']]}"
@@ -126,14 +108,11 @@ def _problem(details: ErrorDetails, section: str) -> str:
 
 
 def _valid_keys(cls: Any, loc: Sequence[int | str], section: str) -> str:
-    """What may be written in the dataclass found by following ``loc`` down from ``cls``."""
+    """The keys of the dataclass that ``loc`` leads to from ``cls``."""
     for part in loc:
         cls = _inside(cls, part)
-    names = (
-        ", ".join(field.name for field in dataclasses.fields(cls))
-        if dataclasses.is_dataclass(cls)
-        else "(none)"
-    )
+    fields = dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ()
+    names = ", ".join(field.name for field in fields) or "(none)"
     return f"valid keys{' of ' if section or loc else ''}{_dotted(section, loc)}: {names}"
 
 
@@ -142,15 +121,15 @@ def _dotted(section: str, loc: Sequence[int | str]) -> str:
 
 
 def _inside(cls: Any, part: int | str) -> Any:
-    """The type of one member of ``cls``: a dataclass's field, or what a dict, tuple or union
-    holds.
-    """
+    """Type of a member of ``cls``: a dataclass's field, or an item of a dict, tuple or union."""
     if dataclasses.is_dataclass(cls):
-        return get_type_hints(cls).get(str(part))
-    args = get_args(cls)
-    if get_origin(cls) is dict:
+        return typing.get_type_hints(cls).get(str(part))
+    args = typing.get_args(cls)
+    if typing.get_origin(cls) is dict:
         return args[1]
-    return next((arg for arg in args if dataclasses.is_dataclass(arg) or get_args(arg)), None)
+    return next(
+        (arg for arg in args if dataclasses.is_dataclass(arg) or typing.get_args(arg)), None
+    )
 
 
 def _is_number(text: str) -> bool:

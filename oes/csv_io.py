@@ -1,4 +1,4 @@
-"""Writing raw rows as CSV: the form in which every stage keeps what it measured."""
+"""Rows as CSV files, the form of all measurements."""
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
@@ -6,9 +6,7 @@ from pathlib import Path
 
 
 def write_csv(path: Path, rows: Iterable[Mapping[str, object]], header: Sequence[str]) -> None:
-    """Rows under a header; a row may lack columns. Raises ValueError for a row with a key that the
-    header lacks.
-    """
+    """Write rows that may lack columns. Raises ValueError for a key that the header lacks."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, header, lineterminator="\n")
         writer.writeheader()
@@ -16,5 +14,5 @@ def write_csv(path: Path, rows: Iterable[Mapping[str, object]], header: Sequence
 
 
 def columns_of(rows: Iterable[Mapping[str, object]]) -> list[str]:
-    """Every key of the rows, in the order of first appearance."""
+    """All keys of the rows, in order of first appearance."""
     return list(dict.fromkeys(name for row in rows for name in row))

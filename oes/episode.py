@@ -1,4 +1,4 @@
-"""The nouns that flow through every stage: Camera, Body, Step, Frames, Episode."""
+"""The data types that all stages share: Camera, Body, Step, Frames, Episode."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 PUSHING, FALLING = "pushing", "falling"  # the tasks
 
@@ -15,9 +17,7 @@ SEG_NOTHING, SEG_TABLE, SEG_ROBOT, SEG_FIRST_OBJECT = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera. ``K_33`` maps cam rays to pixels (pix frame), ``world_T_cam_44`` its
-    pose.
-    """
+    """A pinhole camera with intrinsics ``K_33`` (cam to pix frame) and pose ``world_T_cam_44``."""
 
     name: str
     K_33: Floats
@@ -28,9 +28,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Body:
-    """One object of an episode: a catalogue mesh, scaled along its own axes, with its physics and
-    texture.
-    """
+    """One object of an episode: a catalogue mesh scaled along its own axes, physics and texture."""
 
     mesh: str
     category: str
@@ -44,10 +42,10 @@ class Body:
 class Step:
     """The true state of the world at one recorded instant.
 
-    ``center_N3`` and ``size_N3`` are the axis-aligned hull (world axes) of each posed mesh.
-    ``touched_MM`` says which of the M = N + 2 things (table, robot, objects in order) were in
-    contact at any moment since the previous recorded state (at the first state: all False). Where
-    there is no robot the tip is NaN, and J and L are 0.
+    ``center_N3`` and ``size_N3`` are the axis-aligned bounding box (world axes) of each posed mesh.
+    ``contact_AA`` is the contact matrix of the A = N + 2 bodies (table, robot, objects in order):
+    True if two were in contact since the previous recorded state; all False at the first state.
+    Without a robot the tip is NaN, and J and L are 0.
     """
 
     t_ns: int
@@ -57,33 +55,30 @@ class Step:
     tip_world_3: Floats
     joints_rad_J: Floats
     world_T_link_L44: Floats
-    touched_MM: NDArray[np.bool_]
+    contact_AA: Bools
     cameras: tuple[Camera, ...]
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Images of one state from V cameras: RGB, z-depth in metres (0 = no return), segmentation
-    ids.
-    """
+    """Images of one state from V cameras: RGB, z-depth (m, 0 = no return), segmentation ids."""
 
     rgb_VHW3: NDArray[np.uint8]
     depth_m_VHW: NDArray[np.float32]
     seg_VHW: NDArray[np.uint8]
 
     def of(self, camera_is: Sequence[int]) -> "Frames":
-        """Those of some of the cameras, in the order asked for."""
+        """The images of the given cameras, in that order."""
         views = list(camera_is)
         return Frames(self.rgb_VHW3[views], self.depth_m_VHW[views], self.seg_VHW[views])
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One trajectory: T + 1 states and the T actions between them (horizontal tip displacements,
-    metres).
+    """One trajectory: T + 1 states and the T actions (horizontal tip displacements, m) between.
 
-    ``rod_rms_m`` is the RMS distance of the rod's tip from its commanded path over the simulation
-    steps. Without a robot it is NaN, and the actions are 0: time alone passes.
+    ``rod_rms_m`` is the RMS distance of the rod's tip from its commanded path over all simulation
+    steps. Without a robot it is NaN and the actions are 0.
     """
 
     task: str
@@ -97,5 +92,5 @@ class Episode:
 
     @property
     def has_robot(self) -> bool:
-        """False in a world of objects alone."""
+        """Whether the episode has an arm; falling episodes have none."""
         return len(self.steps[0].joints_rad_J) > 0

@@ -1,4 +1,4 @@
-"""The one way this package compiles a function: with numba, cached beside the source."""
+"""Compilation of numeric kernels with numba, cached beside the source."""
 
 import hashlib
 import os
@@ -15,17 +15,14 @@ PACKAGE = Path(__file__).parent
 
 
 def jit(function: Function) -> Function:
-    """``function`` as machine code with the same signature and strict IEEE arithmetic: equal input,
-    equal bytes. It lets other threads run meanwhile.
-    """
+    """Compile a function without the GIL and with strict IEEE arithmetic: equal input, equal bytes."""
     return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def cache_dir(package: Path) -> Path:
-    """Where machine code of ``package`` is kept: one folder for each state of all sources of
-    compiled functions.
+    """Folder of the machine code of ``package``: one for each state of all compiled sources.
 
-    numba itself looks at the file of a function alone, and would run old code of what that calls in
+    numba itself checks only the file of a function, and would keep stale code of its callees in
     other files.
     """
     sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]

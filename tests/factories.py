@@ -71,7 +71,7 @@ def _step(rng: np.random.Generator, step_i: int, num_objects: int, size_px: int)
         tip_world_3=rng.uniform(-0.2, 0.2, 3),
         joints_rad_J=rng.uniform(-2, 2, NUM_JOINTS),
         world_T_link_L44=np.array(poses[num_objects:]),
-        touched_MM=touched | touched.T,
+        contact_AA=touched | touched.T,
         cameras=cameras,
     )
 

@@ -185,7 +185,7 @@ def _episode(rng: np.random.Generator, index: int, size_px: int) -> Episode:
         tip_world_3=np.zeros(3),
         joints_rad_J=np.zeros(7),
         world_T_link_L44=np.zeros((0, 4, 4)),
-        touched_MM=np.zeros((count + 2, count + 2), dtype=bool),
+        contact_AA=np.zeros((count + 2, count + 2), dtype=bool),
         cameras=cameras(size_px=size_px),
     )
     return Episode("pushing", "train", index, 0, bodies, np.zeros((0, 3)), (step,), 0.0)

@@ -66,7 +66,7 @@ def test_episodes_are_what_the_paper_describes(
         assert np.diff(tips, axis=0) == pytest.approx(episode.actions_T3, abs=3e-3)
         assert episode.rod_rms_m < 3e-3
         assert displacement_mm(episode, 5)[0] > 5
-        assert not episode.steps[0].touched_MM.any()
+        assert not episode.steps[0].contact_AA.any()
         assert all(len(step.cameras) == 27 for step in episode.steps)
 
 
@@ -92,7 +92,7 @@ def test_the_rod_starts_beside_the_first_object(episodes: list[Episode]) -> None
             np.hypot(*np.maximum(gap, 0))
             < CFG.pushes.clearance_m[1] + CFG.sim.robot.rod_radius_m + 0.002
         )
-        assert any(step.touched_MM[1, 2] for step in episode.steps[1:3])
+        assert any(step.contact_AA[1, 2] for step in episode.steps[1:3])
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_differs(

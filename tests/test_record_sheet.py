@@ -88,8 +88,8 @@ def test_displacement_and_contacts() -> None:
     touched = np.zeros((4, 4), bool)
     touched[1, 3] = touched[3, 1] = touched[0, 2] = touched[2, 0] = True
     steps = (
-        replace(first, touched_MM=touched & False),
-        replace(first, t_ns=1, world_T_obj_N44=moved, touched_MM=touched),
+        replace(first, contact_AA=touched & False),
+        replace(first, t_ns=1, world_T_obj_N44=moved, contact_AA=touched),
     )
     short = replace(episode, steps=steps, actions_T3=episode.actions_T3[:1])
     np.testing.assert_allclose(displacement_mm(short), [[0, 0], [0, 50]], atol=1e-9)

@@ -169,7 +169,7 @@ def test_the_tip_follows_a_line_at_constant_speed(
     assert len(squares) == 3 * world.steps_per_action
     assert step.tip_world_3 == pytest.approx(ORIGIN_TIP + 0.18 * direction, abs=1e-3)
     assert step.world_T_link_L44[-1][:3, 2] == pytest.approx([0, 0, -1], abs=5e-3)
-    assert step.touched_MM[ROBOT, FIRST_OBJECT]
+    assert step.contact_AA[ROBOT, FIRST_OBJECT]
     assert (step.world_T_obj_N44[0] - pose)[:3, 3] @ direction > 0.05
 
 
@@ -234,7 +234,7 @@ def test_the_closed_loop_pushes_from_anywhere_and_lowers_on_nothing(catalogue: C
         after = trial.push(np.array([-0.07, 0.0]), np.array([0.06, 0, 0]), rng)
         assert after.tip_world_3 == pytest.approx([-0.01, 0, SIM.robot.tip_height_m], abs=1e-3)
         assert after.center_N3[0, 0] - before.center_N3[0, 0] > 0.02
-        assert after.touched_MM[ROBOT, FIRST_OBJECT]
+        assert after.contact_AA[ROBOT, FIRST_OBJECT]
         assert after.t_ns == 2 * 600_000_000
         with pytest.raises(ReachError):
             trial.push(np.array([0.25, 0.0]), np.array([0.05, 0, 0]), rng)

@@ -24,7 +24,7 @@ HORIZONS = (1, 3, 5)
 MOVED_MM = 10.0
 OBJECTS_FROM = (
     SEG_FIRST_OBJECT - 1
-)  # where objects begin in Step.touched_MM: after the table and the robot
+)  # where objects begin in Step.contact_AA: after the table and the robot
 INK, BARS = "#22262b", ("#0072b2", "#e69f00", "#009e73")
 
 
@@ -94,12 +94,12 @@ def impact_T(episode: Episode) -> int | None:
     """The first T by which the last object, which falls, has touched anything; None where it never
     does.
     """
-    return next((T for T, step in enumerate(episode.steps) if step.touched_MM[-1].any()), None)
+    return next((T for T, step in enumerate(episode.steps) if step.contact_AA[-1].any()), None)
 
 
 def has_object_contact(episode: Episode) -> bool:
     """Whether two objects touched at any moment."""
-    return any(step.touched_MM[OBJECTS_FROM:, OBJECTS_FROM:].any() for step in episode.steps)
+    return any(step.contact_AA[OBJECTS_FROM:, OBJECTS_FROM:].any() for step in episode.steps)
 
 
 def write_card(card: Mapping[str, Any], folder: Path) -> None:

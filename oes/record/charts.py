@@ -23,13 +23,13 @@ def displacement_mm(episode: Episode) -> Floats:
 
 
 def thing_names(episode: Episode) -> list[str]:
-    """Names of the M things of ``Step.touched_MM``: table, robot, objects."""
+    """Names of the M things of ``Step.contact_AA``: table, robot, objects."""
     return ["table", "rod", *(f"{i + 1} {body.mesh}" for i, body in enumerate(episode.bodies))]
 
 
 def contact_pairs(episode: Episode) -> list[tuple[int, int]]:
     """The pairs of things that touched at any time, but for objects resting on the table."""
-    ever_MM = np.any([step.touched_MM for step in episode.steps], axis=0)
+    ever_MM = np.any([step.contact_AA for step in episode.steps], axis=0)
     return [(a, b) for a, b in combinations(range(1, len(ever_MM)), 2) if ever_MM[a, b]]
 
 
@@ -110,7 +110,7 @@ def contacts_svg(episode: Episode) -> str:
             f'<rect x="{x[i - 1] + 1:.1f}" y="{y}" width="{x[i] - x[i - 1] - 2:.1f}" height="{ROW_PX - 6}" '
             f'fill="{object_color(b - 2)}"/>'
             for i, step in enumerate(episode.steps)
-            if i and step.touched_MM[a, b]
+            if i and step.contact_AA[a, b]
         ]
     height = 8 + max(1, len(pairs)) * ROW_PX
     nothing = (

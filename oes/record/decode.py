@@ -72,7 +72,7 @@ def _step(state: Any, num_objects: int, camera_names: tuple[str, ...]) -> Step:
         tip_world_3=np.array(state.tip_m),
         joints_rad_J=np.array(state.joints_rad),
         world_T_link_L44=np.array(state.world_from_links).reshape(-1, 4, 4),
-        touched_MM=state.touched.reshape(num_things, num_things).astype(np.bool_),
+        contact_AA=state.touched.reshape(num_things, num_things).astype(np.bool_),
         cameras=_cameras(state, camera_names),
     )
 

@@ -126,7 +126,7 @@ def _state(step_i: int, step: Step) -> object:
         tip_m=flat(step.tip_world_3),
         joints_rad=flat(step.joints_rad_J),
         world_from_links=flat(step.world_T_link_L44),
-        touched=np.ascontiguousarray(step.touched_MM, np.uint8).reshape(-1),
+        touched=np.ascontiguousarray(step.contact_AA, np.uint8).reshape(-1),
         intrinsics=flat(np.array([camera.K_33 for camera in cameras])),
         world_from_cams=flat(np.array([camera.world_T_cam_44 for camera in cameras])),
         widths_px=np.array([camera.width_px for camera in cameras], np.uint32),

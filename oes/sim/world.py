@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 GRAVITY_M_S2 = 9.81
 NS_PER_MS = 1_000_000
-TABLE, ROBOT, FIRST_OBJECT = 0, 1, 2  # the order of Step.touched_MM
+TABLE, ROBOT, FIRST_OBJECT = 0, 1, 2  # the order of Step.contact_AA
 
 
 @params
@@ -173,7 +173,7 @@ class World:
             tip_world_3=self._tip(),
             joints_rad_J=np.zeros(0) if self._arm is None else self._arm.joints(),
             world_T_link_L44=np.zeros((0, 4, 4)) if self._arm is None else self._arm.world_T_link(),
-            touched_MM=self.touched(),
+            contact_AA=self.touched(),
             cameras=cameras,
         )
 

@@ -103,7 +103,7 @@ def run_trial(
             failure = str(error)
             break
         moments[-1] = replace(moments[-1], chosen=chosen)
-        center_N3 = chosen.position_HN3[0].double().numpy() if chosen else belief.center_N3
+        center_N3 = chosen.position_TN3[0].double().numpy() if chosen else belief.center_N3
         size_N3 = belief.size_N3
     return TrialResult(
         initial_G,
@@ -120,11 +120,11 @@ def _mishap(step: Step, num_moved: int) -> str:
     if (step.center_N3[:, 2] < 0).any():
         return "an object fell off the table"
     obstacle = FIRST_OBJECT + num_moved
-    return COLLIDED if step.touched_MM[ROBOT:obstacle, obstacle:].any() else ""
+    return COLLIDED if step.contact_AA[ROBOT:obstacle, obstacle:].any() else ""
 
 
 def _push(world: PushEnv, chosen: Plan, rng: np.random.Generator) -> Step:
-    return world.push(chosen.tip_3[:2].double().numpy(), chosen.actions_H3[0].double().numpy(), rng)
+    return world.push(chosen.tip_3[:2].double().numpy(), chosen.actions_T3[0].double().numpy(), rng)
 
 
 def _distance(position_N3: Floats, goal_G3: Floats) -> Floats:
