@@ -48,7 +48,7 @@ def main() -> None:
     photos = CameraSensor(catalogue, cfg.sim, task.bodies)(step, step.cameras[0])
     size_N3 = np.full_like(task.center_N3, cfg.planning.track.unseen_size_m)
     names = [
-        f"{name} {s.rounds}x{s.candidates}x{s.horizon_steps}"
+        f"{name} {s.iterations}x{s.num_candidates}x{s.horizon_steps}"
         for name, s in scenario.planners.items()
     ]
     head = "".join(f"{name + ' ms':>24}" for name in names)

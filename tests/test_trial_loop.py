@@ -29,26 +29,26 @@ from oes.trials.world_models import GraphWorldModel, StateEstimate
 from tests.blocks import make_catalogue, read_sim
 
 SHOOTING = PlannerConfig(
-    candidates=60,
+    num_candidates=60,
     horizon_steps=1,
-    rounds=1,
-    elites=1,
-    toward=0.0,
-    spread_deg=0.0,
-    spread=0.0,
-    shortlist=6,
-    futures=8,
+    iterations=1,
+    num_elites=1,
+    goal_bias=0.0,
+    heading_std_deg=0.0,
+    relative_std=0.0,
+    num_reranked=6,
+    num_samples=8,
 )
 CEM = PlannerConfig(
-    candidates=20,
+    num_candidates=20,
     horizon_steps=1,
-    rounds=3,
-    elites=4,
-    toward=0.5,
-    spread_deg=20.0,
-    spread=0.3,
-    shortlist=6,
-    futures=8,
+    iterations=3,
+    num_elites=4,
+    goal_bias=0.5,
+    heading_std_deg=20.0,
+    relative_std=0.3,
+    num_reranked=6,
+    num_samples=8,
 )
 TARGETS = TrialScenario(
     num_objects=(1, 2),
@@ -74,11 +74,15 @@ AROUND = replace(
 )
 PLANNING = PlanningConfig(
     push=PushConfig(
-        attempts=4, length_m=(0.03, 0.06), clearance_m=(0.01, 0.02), aim=0.3, turn_deg=0.0
+        oversampling=4,
+        length_m=(0.03, 0.06),
+        clearance_m=(0.01, 0.02),
+        max_offset=0.3,
+        max_turn_deg=0.0,
     ),
-    avoid=AvoidConfig(margin_m=0.008, hit_m=1.0),
-    track=TrackConfig(match_m=0.08, unseen_size_m=0.07, mask=0.5),
-    aversion=0.5,
+    avoid=AvoidConfig(margin_m=0.008, collision_cost_m=1.0),
+    track=TrackConfig(gate_m=0.08, unseen_size_m=0.07, mask=0.5),
+    risk_weight=0.5,
 )
 
 
@@ -259,7 +263,7 @@ def test_nothing_to_propose_breaks_the_trial_off_with_its_reason(
 ) -> None:
     task = _task(catalogue, sim, 0, 1)
     planner = _planner(sim, Oracle())
-    planner.rod = replace(planner.rod, reach_m=0.01)
+    planner.rod = replace(planner.rod, workspace_m=0.01)
     rngs = (generator(0, "targets", 0, 1), generator(0, "targets", 0, 2))
     outcome = run_trial(world, planner.eyes.look, planner, task, TARGETS, SHOOTING, rngs)  # type: ignore[attr-defined]
     assert "is free" in outcome.failure and outcome.steps_used == 0
@@ -292,7 +296,7 @@ def test_a_touched_obstacle_ends_the_trial(
     """A planner that does not care about the obstacle runs into it."""
     task = _task(catalogue, sim, 1, 1, AROUND)
     planner = _planner(sim, Oracle())
-    planner.cfg = replace(PLANNING, avoid=AvoidConfig(margin_m=-1.0, hit_m=0.0))
+    planner.cfg = replace(PLANNING, avoid=AvoidConfig(margin_m=-1.0, collision_cost_m=0.0))
     rngs = (generator(0, "targets", 1, 1), generator(0, "targets", 1, 2))
     outcome = run_trial(world, planner.eyes.look, planner, task, AROUND, CEM, rngs)  # type: ignore[attr-defined]
     assert outcome.failure == COLLIDED and 0 < outcome.steps_used < AROUND.max_steps
@@ -357,7 +361,7 @@ def test_imagining_reads_appearance_once_and_moves_what_is_in_the_way() -> None:
         objects, objects.center_N3.numpy(), objects.size_N3.numpy(), np.ones(2, dtype=bool), None
     )
     imagined = GraphWorldModel(Shove()).imagine(belief, np.zeros((2, 3)), proposals)
-    positions = imagined.position_SHN3
+    positions = imagined.position_STN3
     assert imagined.tip_SI3[:, 1].tolist() == [
         pytest.approx([0.09, 0, 0.02]),
         pytest.approx([0, 0.15, 0.02]),

@@ -46,9 +46,9 @@ def test_visual_foresight_that_moves_nothing_leaves_objects_where_they_are() -> 
     imagined = ForesightWorldModel(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
     assert imagined.tip_SI3.shape == (3, 5, 3)
     assert torch.allclose(imagined.tip_SI3[:, -1, :2], TIPS[:, :2] + 0.12)
-    assert np.abs(imagined.position_SHN3.numpy() - CENTERS).max() < 1e-3
-    assert imagined.cost_SH is not None and imagined.cost_SH.shape == (3, 4)
-    assert imagined.cost_SH.flatten().tolist() == pytest.approx([0.075] * 12, rel=0.06), (
+    assert np.abs(imagined.position_STN3.numpy() - CENTERS).max() < 1e-3
+    assert imagined.cost_ST is not None and imagined.cost_ST.shape == (3, 4)
+    assert imagined.cost_ST.flatten().tolist() == pytest.approx([0.075] * 12, rel=0.06), (
         "expected distance, mean"
     )
 
@@ -59,7 +59,7 @@ def test_visual_foresight_that_carries_pixels_along_carries_objects() -> None:
     torch.nn.init.zeros_(net.out.weight)
     net.out.bias.data[:] = torch.tensor([float(np.arctanh(-2 / 64 / 0.3)), 0.0, 20.0, 0.0, 0.0])
     imagined = ForesightWorldModel(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
-    moved = imagined.position_SHN3[:, -1].numpy() - CENTERS
+    moved = imagined.position_STN3[:, -1].numpy() - CENTERS
     assert moved[..., 0] == pytest.approx(0.04, abs=2e-3) and np.abs(moved[..., 1]).max() < 1e-3
 
 
@@ -69,14 +69,14 @@ def test_planet_costs_what_it_is_not_rewarded_and_moves_nothing() -> None:
     mind = PlanetWorldModel(net, VIEW)
     imagined = mind.imagine(_belief(), GOALS, PROPOSALS)
     assert (
-        imagined.cost_SH is not None
-        and imagined.cost_SH.shape == (3, 4)
-        and torch.isfinite(imagined.cost_SH).all()
+        imagined.cost_ST is not None
+        and imagined.cost_ST.shape == (3, 4)
+        and torch.isfinite(imagined.cost_ST).all()
     )
-    assert torch.equal(imagined.position_SHN3[1, 2], torch.from_numpy(CENTERS).float())
+    assert torch.equal(imagined.position_STN3[1, 2], torch.from_numpy(CENTERS).float())
     torch.nn.init.zeros_(net.reward[-1].weight)
     net.reward[-1].bias.data[:] = -0.5
-    assert (mind.imagine(_belief(), GOALS, PROPOSALS).cost_SH == 0.5 * VIEW.half_m).all()
+    assert (mind.imagine(_belief(), GOALS, PROPOSALS).cost_ST == 0.5 * VIEW.half_m).all()
 
 
 def test_planet_hears_of_goals_from_left_to_right() -> None:
@@ -90,9 +90,9 @@ def test_planet_hears_of_goals_from_left_to_right() -> None:
         belief.objects, CENTERS[::-1].copy(), belief.size_N3, belief.is_seen_N, belief.overhead_HW3
     )
     first, again = (
-        mind.imagine(b, g, PROPOSALS).cost_SH
+        mind.imagine(b, g, PROPOSALS).cost_ST
         for b, g in ((belief, GOALS), (swapped, GOALS[::-1].copy()))
     )
-    other = mind.imagine(swapped, GOALS, PROPOSALS).cost_SH
+    other = mind.imagine(swapped, GOALS, PROPOSALS).cost_ST
     assert first is not None and again is not None and other is not None
     assert torch.equal(first, again) and not torch.allclose(first, other)

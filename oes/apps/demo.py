@@ -152,11 +152,11 @@ def _draw_forecast(
     picture: CameraOverlay, chosen: Plan, center_N3: Floats, size_N3: Floats, share: float
 ) -> None:
     """The rod and the boxes part of the way to where the model puts them."""
-    tip, action = chosen.tip_3.double().numpy(), chosen.actions_H3[0].double().numpy()
+    tip, action = chosen.tip_3.double().numpy(), chosen.actions_T3[0].double().numpy()
     picture.arrow(tip, action, PUSH)
     picture.line(np.stack([tip + share * action, tip + share * action + [0, 0, 0.15]]), PUSH)
     for start, end, size in zip(
-        center_N3, chosen.position_HN3[0].double().numpy(), size_N3, strict=True
+        center_N3, chosen.position_TN3[0].double().numpy(), size_N3, strict=True
     ):
         picture.box(start + share * (end - start), size, IMAGINED)
 

@@ -1,4 +1,4 @@
-"""What a plan costs: the way that remains to the goals, and touching what shall not be touched."""
+"""Cost of a plan: remaining geodesic distance to the goals plus a collision cost."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,24 +15,22 @@ from oes.mpc.sampler import Footprint, Rod
 from oes.mpc.search import Rollouts
 
 Bools = NDArray[np.bool_]
-SAMPLES_PER_PUSH = 6  # places along each stroke of the rod that are looked at
+SAMPLES_PER_PUSH = 6  # points of each stroke of the rod that are tested for collision
 
 
 @params
 class AvoidConfig:
-    """How obstacles are kept clear of: objects and rod by at least ``margin_m``; coming closer
-    costs ``hit_m`` (m).
+    """Obstacle avoidance: objects and rod keep ``margin_m``; a violation costs
+    ``collision_cost_m`` (in metres of remaining distance).
     """
 
     margin_m: float
-    hit_m: float
+    collision_cost_m: float
 
 
 @dataclass(frozen=True)
 class PlanningScene:
-    """Seen from above: the objects to be moved and those to be left alone; the rod and the table's
-    half width (m).
-    """
+    """Footprints of objects to move and of obstacles, the rod, and the table's half width."""
 
     moved: Sequence[Footprint]
     obstacles: Sequence[Footprint]
@@ -41,86 +39,77 @@ class PlanningScene:
 
 
 class GoalCost:
-    """Mean over the moved objects (the first of all) of the way that remains to their goals (paper
-    3.3: the distance).
+    """Mean remaining geodesic distance (metres) of the moved objects to their goals (paper 3.3).
 
-    Around obstacles the way is longer than the distance; a plan that touches one, with an object or
-    with the rod, costs ``hit_m`` more from that step on.
+    The moved objects are the first G of a rollout. From the first step at which an object or the
+    rod violates the margin of an obstacle, ``collision_cost_m`` is added.
     """
 
     def __init__(self, scene: PlanningScene, goal_G3: Floats, cfg: AvoidConfig) -> None:
         self.scene, self.cfg = scene, cfg
         points = [shape.points_P2 for shape in scene.obstacles]
         cell_m = max((shape.cell_m for shape in scene.obstacles), default=0.0)
-        self.clearance = DistanceField(
-            np.concatenate([np.zeros((0, 2)), *points]), cell_m, scene.half_m
-        )
+        points_P2 = np.concatenate([np.zeros((0, 2)), *points])
+        self.clearance = DistanceField(points_P2, cell_m, scene.half_m)
         circles = [(shape.center_2, shape.radius_m) for shape in scene.obstacles]
-        self.ways = [
+        self.distances = [
             GeodesicDistance(goal[:2], self.clearance, circles, shape.radius_m + cfg.margin_m)
             for goal, shape in zip(goal_G3, scene.moved, strict=True)
         ]
 
-    def __call__(self, imagined: Rollouts) -> Tensor:
-        """Metres, SH; infinite from where the rod would leave its reach."""
-        is_out_SH = (imagined.tip_SI3[:, 1:, :2].abs() > self.scene.rod.reach_m).any(-1).cumsum(
-            1
-        ) > 0
-        cost_SH = self._foreseen(imagined) if imagined.cost_SH is None else imagined.cost_SH
-        return cost_SH.masked_fill(is_out_SH, torch.inf)
+    def __call__(self, rollouts: Rollouts) -> Tensor:
+        """Costs ST (metres), infinite from the step at which the rod leaves its workspace."""
+        tip_ST2 = rollouts.tip_SI3[:, 1:, :2]
+        is_out_ST = (tip_ST2.abs() > self.scene.rod.workspace_m).any(-1).cumsum(1) > 0
+        cost_ST = rollouts.cost_ST
+        if cost_ST is None:
+            cost_ST = self._goal_and_collision_cost(rollouts)
+        return cost_ST.masked_fill(is_out_ST, torch.inf)
 
-    def _foreseen(self, imagined: Rollouts) -> Tensor:
-        count = len(self.ways)
-        xy_SHG2 = imagined.position_SHN3[:, :, :count, :2].double().numpy()
-        to_go_SH = np.mean([way(xy_SHG2[:, :, i]) for i, way in enumerate(self.ways)], axis=0)
-        if not self.clearance.is_empty:
-            turned_SHG22 = imagined.turned_SHN33[:, :, :count, :2, :2].double().numpy()
-            touches_SH = self._object_touches(xy_SHG2, turned_SHG22) | self._rod_touches(
-                imagined.tip_SI3
-            )
-            to_go_SH = to_go_SH + self.cfg.hit_m * np.maximum.accumulate(touches_SH, axis=1)
-        return torch.from_numpy(to_go_SH)
-
-    def at_rest(self) -> float:
-        """What it costs to do nothing."""
-        return float(
-            np.mean(
-                [
-                    way(shape.center_2)
-                    for way, shape in zip(self.ways, self.scene.moved, strict=True)
-                ]
-            )
-        )
+    def initial(self) -> float:
+        """Cost of the current state, without any push."""
+        pairs = zip(self.distances, self.scene.moved, strict=True)
+        return float(np.mean([distance(shape.center_2) for distance, shape in pairs]))
 
     def headings(self) -> Floats:
-        """Where (rad) each moved object should set out to."""
-        return np.array(
-            [
-                way.heading(shape.center_2)
-                for way, shape in zip(self.ways, self.scene.moved, strict=True)
-            ]
-        )
+        """Initial direction G (rad) of each moved object's shortest path to its goal."""
+        pairs = zip(self.distances, self.scene.moved, strict=True)
+        return np.array([distance.heading(shape.center_2) for distance, shape in pairs])
 
-    def _object_touches(self, xy_SHG2: Floats, turned_SHG22: Floats) -> Bools:
-        """SH: whether an object is too close to an obstacle after a step or halfway through it."""
-        touches = []
+    def _goal_and_collision_cost(self, rollouts: Rollouts) -> Tensor:
+        count = len(self.distances)
+        xy_STG2 = rollouts.position_STN3[:, :, :count, :2].double().numpy()
+        remaining = [distance(xy_STG2[:, :, i]) for i, distance in enumerate(self.distances)]
+        cost_ST = np.mean(remaining, axis=0)
+        if not self.clearance.is_empty:
+            rotation_STG22 = rollouts.rotation_STN33[:, :, :count, :2, :2].double().numpy()
+            collides_ST = self._object_collides(xy_STG2, rotation_STG22)
+            collides_ST = collides_ST | self._rod_collides(rollouts.tip_SI3)
+            # A collision is not undone by later steps, so the penalty persists.
+            has_collided_ST = np.maximum.accumulate(collides_ST, axis=1)
+            cost_ST = cost_ST + self.cfg.collision_cost_m * has_collided_ST
+        return torch.from_numpy(cost_ST)
+
+    def _object_collides(self, xy_STG2: Floats, rotation_STG22: Floats) -> Bools:
+        """Margin violations ST after each step or halfway through it."""
+        collides = []
         for i, shape in enumerate(self.scene.moved):
-            points = (shape.points_P2 - shape.center_2) @ turned_SHG22[:, :, i].swapaxes(-1, -2)
-            after = xy_SHG2[:, :, i]
-            before = np.concatenate(
-                [np.broadcast_to(shape.center_2, after[:, :1].shape), after[:, :-1]], axis=1
-            )
-            for middle in ((before + after) / 2, after):
-                gap_SH = self.clearance(points + middle[:, :, None]).min(axis=-1) - shape.cell_m / 2
-                touches.append(gap_SH < self.cfg.margin_m)
-        return np.asarray(np.any(touches, axis=0))
+            offset_P2 = shape.points_P2 - shape.center_2
+            points = offset_P2 @ rotation_STG22[:, :, i].swapaxes(-1, -2)
+            after = xy_STG2[:, :, i]
+            start = np.broadcast_to(shape.center_2, after[:, :1].shape)
+            before = np.concatenate([start, after[:, :-1]], axis=1)
+            # The midpoint catches thin obstacles that a step of several cm would jump over.
+            for center in ((before + after) / 2, after):
+                distance = self.clearance(points + center[:, :, None])
+                gap_ST = distance.min(axis=-1) - shape.cell_m / 2
+                collides.append(gap_ST < self.cfg.margin_m)
+        return np.asarray(np.any(collides, axis=0))
 
-    def _rod_touches(self, tip_SI3: Tensor) -> Bools:
+    def _rod_collides(self, tip_SI3: Tensor) -> Bools:
         tip_SI2 = tip_SI3[..., :2].double().numpy()
-        along_L1 = np.linspace(0, 1, SAMPLES_PER_PUSH)[:, None]
-        path_SHL2 = (
-            tip_SI2[:, :-1, None] + (tip_SI2[:, 1:] - tip_SI2[:, :-1])[:, :, None] * along_L1
-        )
-        return np.asarray(
-            self.clearance(path_SHL2).min(axis=-1) < self.scene.rod.radius_m + self.cfg.margin_m
-        )
+        fraction_Q1 = np.linspace(0, 1, SAMPLES_PER_PUSH)[:, None]
+        stroke_ST2 = tip_SI2[:, 1:] - tip_SI2[:, :-1]
+        path_STQ2 = tip_SI2[:, :-1, None] + stroke_ST2[:, :, None] * fraction_Q1
+        limit_m = self.scene.rod.radius_m + self.cfg.margin_m
+        return np.asarray(self.clearance(path_STQ2).min(axis=-1) < limit_m)

@@ -1,6 +1,4 @@
-"""Ways around obstacles on the table: how far any place is from an obstacle, and how long the way
-to a goal is.
-"""
+"""Distances on the table: to the nearest obstacle, and to a goal around obstacles."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,85 +8,86 @@ from scipy.spatial import KDTree
 from oes.episode import Floats
 
 GRID_M = 0.004
-CORNERS = 16  # places around each obstacle at which a way may bend
-SAMPLES_PER_LEG = 24  # places along a straight piece of a way that are looked at
-COLLISION_PENALTY = 20.0  # a metre too close to an obstacle counts as so many more
+NUM_CORNERS = 16  # vertices of the polygon around each obstacle
+SAMPLES_PER_EDGE = 24  # points of an edge that are tested for collision
+COLLISION_PENALTY = 20.0  # extra length of an edge, per metre that lies too close to an obstacle
 
 
 class DistanceField:
-    """The distance (m) of places xy from the nearest obstacle, on a grid over the table; infinite
-    without obstacles.
-    """
+    """Distance (metres) from the nearest obstacle on a grid; infinite without obstacles."""
 
     def __init__(self, points_P2: Floats, cell_m: float, half_m: float) -> None:
-        """``points_P2`` stand for cells of side ``cell_m``; the table is ``half_m`` wide to each
-        side of the origin.
+        """``points_P2``: centres of occupied cells of side ``cell_m``; the table spans
+        [-``half_m``, ``half_m``] along x and y.
         """
         self.half_m, self.is_empty = half_m, not len(points_P2)
-        line = np.arange(-half_m, half_m + GRID_M, GRID_M)
-        self._distance_XY: Floats = np.full((len(line), len(line)), np.inf)
+        axis = np.arange(-half_m, half_m + GRID_M, GRID_M)
+        self._distance_XY: Floats = np.full((len(axis), len(axis)), np.inf)
         if not self.is_empty:
-            nodes = np.stack(np.meshgrid(line, line, indexing="ij"), -1)
-            self._distance_XY = np.asarray(KDTree(points_P2).query(nodes)[0]) - cell_m / 2
+            nodes_XY2 = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1)
+            distance_XY = KDTree(points_P2).query(nodes_XY2)[0]
+            self._distance_XY = np.asarray(distance_XY) - cell_m / 2
 
     def __call__(self, xy: Floats) -> Floats:
-        """For places (..., 2); beyond the table as at its edge."""
-        index = np.rint((xy + self.half_m) / GRID_M).astype(int).clip(0, len(self._distance_XY) - 1)
+        """Distances ... of points ...2; a point beyond the table takes the value at its edge."""
+        # Nearest-neighbour lookup: the error is below GRID_M, less than the planning margin.
+        index = np.rint((xy + self.half_m) / GRID_M).astype(int)
+        index = index.clip(0, len(self._distance_XY) - 1)
         return np.asarray(self._distance_XY[index[..., 0], index[..., 1]])
 
 
 class GeodesicDistance:
-    """The length of the shortest way to a goal for something round, around obstacles.
+    """Length of the shortest collision-free path of a disc to a goal, by a visibility graph.
 
-    Ways are straight pieces between corners around the obstacles (a visibility graph). A piece that
-    passes an obstacle closer than ``radius_m`` is longer by a toll instead of forbidden: every
-    place has a finite length.
+    The graph's nodes are the goal and the corners of a polygon around each obstacle. An edge that
+    passes closer than the disc's radius to an obstacle is penalized, not removed: every point then
+    has a finite distance, also inside an obstacle.
     """
 
     def __init__(
         self,
         goal_2: Floats,
         clearance: DistanceField,
-        rounds: list[tuple[Floats, float]],
+        circles: list[tuple[Floats, float]],
         radius_m: float,
-    ):
-        """``rounds``: middle and radius of a circle around each obstacle."""
+    ) -> None:
+        """``circles``: centre and radius of a circle around each obstacle; ``radius_m``: of the
+        moving disc.
+        """
         self.clearance, self.radius_m = clearance, radius_m
-        corners_C2 = np.concatenate(
-            [[goal_2], *(self._corners(middle, radius) for middle, radius in rounds)]
-        )
-        self._corners_C2 = corners_C2
-        self._onward_C = np.zeros(1)
-        if len(corners_C2) > 1:
-            self._onward_C = dijkstra(self._lengths(corners_C2), indices=[0])[0]
+        corners = [self._corners(*circle) for circle in circles]
+        self._node_P2 = np.concatenate([[goal_2], *corners])
+        self._to_goal_P = np.zeros(1)
+        if len(self._node_P2) > 1:
+            edges_PP = self._edge_lengths(self._node_P2)
+            self._to_goal_P = dijkstra(edges_PP, indices=[0])[0]
 
     def __call__(self, xy: Floats) -> Floats:
-        """Metres from places (..., 2)."""
-        return np.asarray((self._lengths(xy) + self._onward_C).min(axis=-1))
+        """Distances ... to the goal (metres) from points ...2."""
+        return np.asarray((self._edge_lengths(xy) + self._to_goal_P).min(axis=-1))
 
     def heading(self, xy_2: Floats) -> float:
-        """The direction (rad) in which the way from a place sets out."""
-        next_2 = self._corners_C2[int((self._lengths(xy_2) + self._onward_C).argmin())]
-        return float(np.arctan2(*(next_2 - xy_2)[::-1]))
+        """Initial direction (rad) of the shortest path from a point."""
+        first = int((self._edge_lengths(xy_2) + self._to_goal_P).argmin())
+        x, y = self._node_P2[first] - xy_2
+        return float(np.arctan2(y, x))
 
-    def _corners(self, middle_2: Floats, radius_m: float) -> Floats:
-        """Just far enough from an obstacle that the straight pieces between neighbours stay clear
-        of it.
-        """
-        angle = np.arange(CORNERS) * (2 * np.pi / CORNERS)
-        away = (radius_m + self.radius_m + GRID_M) / np.cos(np.pi / CORNERS)
-        corners = middle_2 + away * np.stack([np.cos(angle), np.sin(angle)], -1)
-        return np.asarray(
-            corners[(np.abs(corners) <= self.clearance.half_m - self.radius_m).all(-1)]
-        )
+    def _corners(self, center_2: Floats, radius_m: float) -> Floats:
+        angle = np.arange(NUM_CORNERS) * (2 * np.pi / NUM_CORNERS)
+        # Circumscribed polygon: its sides, not only its corners, clear the obstacle.
+        distance = (radius_m + self.radius_m + GRID_M) / np.cos(np.pi / NUM_CORNERS)
+        corner_P2 = center_2 + distance * np.stack([np.cos(angle), np.sin(angle)], -1)
+        limit_m = self.clearance.half_m - self.radius_m
+        return np.asarray(corner_P2[(np.abs(corner_P2) <= limit_m).all(-1)])
 
-    def _lengths(self, xy: Floats) -> Floats:
-        """From places (..., 2) straight to every corner: (..., C)."""
-        leg = self._corners_C2 - xy[..., None, :]
-        length = np.linalg.norm(leg, axis=-1)
+    def _edge_lengths(self, xy: Floats) -> Floats:
+        """Penalized lengths ...P of the straight edges from points ...2 to all nodes."""
+        edge = self._node_P2 - xy[..., None, :]
+        length = np.linalg.norm(edge, axis=-1)
         if self.clearance.is_empty:
             return np.asarray(length)
-        along_L: NDArray[np.float64] = (np.arange(SAMPLES_PER_LEG) + 0.5) / SAMPLES_PER_LEG
-        places = xy[..., None, None, :] + leg[..., None, :] * along_L[:, None]
-        inside = (self.clearance(places) < self.radius_m).mean(axis=-1)
-        return np.asarray(length * (1 + COLLISION_PENALTY * inside))
+        fraction_Q: NDArray[np.float64] = np.arange(SAMPLES_PER_EDGE) + 0.5
+        fraction_Q = fraction_Q / SAMPLES_PER_EDGE
+        points = xy[..., None, None, :] + edge[..., None, :] * fraction_Q[:, None]
+        colliding = (self.clearance(points) < self.radius_m).mean(axis=-1)
+        return np.asarray(length * (1 + COLLISION_PENALTY * colliding))

@@ -1,6 +1,4 @@
-"""Pushes worth imagining: an object, a free start beside what is perceived of it, a direction and a
-length.
-"""
+"""Candidate pushes: which object, heading, lateral offset, standoff, then turns and lengths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,71 +15,70 @@ from oes.mpc.search import Candidates, PlanError
 
 @params
 class PushConfig:
-    """Which pushes are proposed at all.
+    """Bounds of the sampled pushes.
 
-    Of ``attempts`` times as many draws as are wanted those are kept that can be made. Each action's
-    length is uniform in ``length_m``; the rod starts ``clearance_m`` (range) short of the perceived
-    outline on a line that passes the object's middle by up to ``aim`` times half its width; later
-    actions turn by up to ``turn_deg``.
+    ``oversampling``: parameter vectors drawn per candidate, as many are infeasible.
+    ``length_m``: range of each action's length.
+    ``clearance_m``: range of the initial gap between rod and object.
+    ``max_offset``: lateral offset of the push line from the object's middle, as a fraction of half
+    the object's width.
+    ``max_turn_deg``: change of direction between consecutive actions.
     """
 
-    attempts: int
+    oversampling: int
     length_m: tuple[float, float]
     clearance_m: tuple[float, float]
-    aim: float
-    turn_deg: float
+    max_offset: float
+    max_turn_deg: float
 
 
 @params
 class PlannerConfig:
-    """How a planner looks for a push: ``rounds`` times ``candidates`` plans of ``horizon_steps``
-    actions.
+    """Random shooting (``iterations`` = 1) or CEM with ``num_candidates`` plans of
+    ``horizon_steps`` actions an iteration.
 
-    One round is random shooting. Each further one is drawn around the ``elites`` best plans of the
-    last: headings and turns with a standard deviation of ``spread_deg``, the other numbers of
-    ``spread`` times half their range. In the first round a share ``toward`` sets out where an
-    object should go, give or take ``spread_deg``. With a model that draws futures, the
-    ``shortlist`` best of each round are imagined again, in ``futures`` each (1: never).
+    ``num_elites``: plans around which the next iteration samples.
+    ``goal_bias``: share of first-iteration pushes that head for the goal.
+    ``heading_std_deg``: std of headings around the goal direction or an elite.
+    ``relative_std``: std of the other parameters around an elite, as a fraction of half their
+    range.
+    ``num_reranked``, ``num_samples``: see ``RiskConfig``; used by stochastic models only, and off
+    at ``num_samples`` = 1.
     """
 
-    candidates: int
+    num_candidates: int
     horizon_steps: int
-    rounds: int
-    elites: int
-    toward: float
-    spread_deg: float
-    spread: float
-    shortlist: int
-    futures: int
+    iterations: int
+    num_elites: int
+    goal_bias: float
+    heading_std_deg: float
+    relative_std: float
+    num_reranked: int
+    num_samples: int
 
     def __post_init__(self) -> None:
-        """Raises ValueError (a ParamsError when read from params.yaml) for a shortlist without all
-        elites.
+        """Raises ValueError (a ParamsError when read from params.yaml) on num_reranked <
+        num_elites.
         """
-        if self.shortlist < self.elites:
+        if self.num_reranked < self.num_elites:
             raise ValueError(
-                f"shortlist must be at least elites ({self.elites}); found {self.shortlist}"
+                f"num_reranked must be at least num_elites ({self.num_elites}); "
+                f"found {self.num_reranked}"
             )
 
 
 @dataclass(frozen=True)
 class Rod:
-    """The pushing rod, a vertical cylinder, in metres: its radius, the height of its tip, and how
-    far it may go.
-
-    The tip stays within ``reach_m`` of the table's centre along x and along y.
-    """
+    """The pusher, a vertical cylinder (metres); |x| and |y| of its tip stay <= ``workspace_m``."""
 
     radius_m: float
     tip_height_m: float
-    reach_m: float
+    workspace_m: float
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """What the rod must not start in: the perceived object seen from above, as points and the cell
-    they stand for.
-    """
+    """An object's vertical projection: centres of occupied cells of side ``cell_m`` (world)."""
 
     center_2: Floats
     points_P2: Floats
@@ -89,12 +86,12 @@ class Footprint:
 
     @property
     def radius_m(self) -> float:
-        """Of the circle about its centre that holds it."""
+        """Radius of the enclosing circle about the centre."""
         return float(np.linalg.norm(self.points_P2 - self.center_2, axis=1).max() + self.cell_m / 2)
 
 
 class NoFreeStart(PlanError):
-    """No point beside any object is free for the rod."""
+    """No sampled start of the rod is collision-free."""
 
 
 def object_footprint(
@@ -104,24 +101,25 @@ def object_footprint(
     voxel_m: float,
     threshold: float,
 ) -> Footprint:
-    """Outline of an object from its completed mask, over all heights: the rod is a vertical
-    cylinder.
+    """Footprint of a completed occupancy grid: columns with a voxel above ``threshold`` (0..1).
 
-    A mask with no voxel above ``threshold`` (0..1) gives the box instead, sampled at the voxel
-    size.
+    All heights count, as the rod is a vertical cylinder. An empty grid gives the box instead.
     """
     columns_XY = (occupancy_XYZ > threshold).any(axis=2)
     if columns_XY.any():
         cells_P2 = np.argwhere(columns_XY) + 0.5
         points_P2 = (cells_P2 - np.array(columns_XY.shape) / 2) * voxel_m + center_3[:2]
     else:
-        points_P2 = _grid(center_3[:2], size_3[:2], voxel_m)
-    return Footprint(center_2=center_3[:2], points_P2=points_P2, cell_m=voxel_m)
+        axes = [np.linspace(-s / 2, s / 2, int(np.ceil(s / voxel_m)) + 1) for s in size_3[:2]]
+        grid_XY2 = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        points_P2 = grid_XY2.reshape(-1, 2) + center_3[:2]
+    return Footprint(center_3[:2], points_P2, voxel_m)
 
 
 class PushSampler:
-    """Proposes plans that set out with a push of one of ``shapes``; the rod starts on none of those
-    nor ``others``.
+    """Samples plans whose first action pushes one of ``shapes``.
+
+    The rod starts free of ``shapes`` and of the obstacles ``others``.
     """
 
     def __init__(
@@ -135,109 +133,96 @@ class PushSampler:
         self.shapes, self.others, self.rod, self.push, self.rng = shapes, others, rod, push, rng
 
     def __call__(
-        self, cfg: PlannerConfig, headings_G: Floats, elites_EK: Tensor | None
+        self, cfg: PlannerConfig, headings_G: Floats, elites_SC: Tensor | None
     ) -> Candidates:
-        """``cfg.candidates`` plans (fewer when free starts are rare), new or around ``elites_EK``.
+        """Up to ``cfg.num_candidates`` feasible plans, uniform or around ``elites_SC``.
 
-        ``headings_G``: where each of the shapes should go. Raises NoFreeStart when no draw has a
-        free start.
+        ``headings_G``: direction (rad) of each shape's path to its goal. Raises NoFreeStart when no
+        sample is feasible.
         """
-        draws_DK = (
-            self._fresh(cfg, headings_G)
-            if elites_EK is None
-            else self._near(cfg, elites_EK.numpy())
-        )
+        if elites_SC is None:
+            params_SC = self._sample_uniform(cfg, headings_G)
+        else:
+            params_SC = self._sample_around(cfg, elites_SC.numpy())
         steps = cfg.horizon_steps
-        start_D2 = np.stack([_beside(self.shapes[int(i)], *place) for i, *place in draws_DK[:, :4]])
-        actions_DH3 = _actions(draws_DK[:, 1], draws_DK[:, 4 : 4 + steps], draws_DK[:, 4 + steps :])
-        path_DH2 = np.concatenate(
-            [start_D2[:, None], start_D2[:, None] + actions_DH3[..., :2].cumsum(axis=1)], axis=1
-        )
-        is_reached = (np.abs(path_DH2[:, :2]) <= self.rod.reach_m).all(axis=(1, 2))
-        kept = np.flatnonzero(is_reached & self._is_clear(start_D2))[: cfg.candidates]
+        starts = [_start(self.shapes[int(i)], *push) for i, *push in params_SC[:, :4]]
+        start_S2 = np.stack(starts)
+        turn_ST, length_ST = params_SC[:, 4 : 4 + steps], params_SC[:, 4 + steps :]
+        angle_ST = params_SC[:, 1:2] + np.cumsum(turn_ST, axis=1)
+        x_ST, y_ST = length_ST * np.cos(angle_ST), length_ST * np.sin(angle_ST)
+        actions_ST3 = np.stack([x_ST, y_ST, np.zeros_like(angle_ST)], axis=-1)
+        # Only the start and the first action must stay in the workspace: the cost handles the rest.
+        first_end_S2 = start_S2 + actions_ST3[:, 0, :2]
+        path_SI2 = np.stack([start_S2, first_end_S2], axis=1)
+        is_reached_S = (np.abs(path_SI2) <= self.rod.workspace_m).all(axis=(1, 2))
+        kept = np.flatnonzero(is_reached_S & self._is_free(start_S2))[: cfg.num_candidates]
         if not len(kept):
             raise NoFreeStart(
-                f"none of {len(draws_DK)} starts beside {len(self.shapes)} objects is free"
+                f"none of {len(params_SC)} starts beside {len(self.shapes)} objects is free"
             )
-        tips = np.column_stack([start_D2[kept], np.full(len(kept), self.rod.tip_height_m)])
-        tip_S3, actions_SH3 = (torch.from_numpy(a).float() for a in (tips, actions_DH3[kept]))
-        return Candidates(tip_S3, actions_SH3, torch.from_numpy(draws_DK[kept]))
+        tips = np.column_stack([start_S2[kept], np.full(len(kept), self.rod.tip_height_m)])
+        tip_S3, actions = (torch.from_numpy(a).float() for a in (tips, actions_ST3[kept]))
+        return Candidates(tip_S3, actions, torch.from_numpy(params_SC[kept]))
 
-    def _fresh(self, cfg: PlannerConfig, headings_G: Floats) -> Floats:
-        """Draws DK: which object, heading, aim, gap; then the turn before and the length of each
-        action.
-        """
-        count, steps, rng = cfg.candidates * self.push.attempts, cfg.horizon_steps, self.rng
+    def _sample_uniform(self, cfg: PlannerConfig, headings_G: Floats) -> Floats:
+        """Parameters SC: object index, heading, lateral offset, standoff, T turns, T lengths."""
+        count, rng = cfg.num_candidates * self.push.oversampling, self.rng
         object_i = rng.integers(len(self.shapes), size=count)
         heading = rng.uniform(-np.pi, np.pi, size=count)
-        is_toward = rng.uniform(size=count) < cfg.toward
-        toward = headings_G[object_i] + np.radians(cfg.spread_deg) * rng.normal(size=count)
-        low, high = self._bounds(steps)
-        rest_DK = rng.uniform(low, high, size=(count, len(low)))
-        return np.column_stack([object_i, np.where(is_toward, toward, heading), rest_DK])
-
-    def _near(self, cfg: PlannerConfig, elites_EK: Floats) -> Floats:
-        """The elites themselves, then draws around them."""
-        count = cfg.candidates * self.push.attempts
-        draws_DK = elites_EK[self.rng.integers(len(elites_EK), size=count)]
+        is_biased = rng.uniform(size=count) < cfg.goal_bias
+        goal_heading = headings_G[object_i]
+        goal_heading = goal_heading + np.radians(cfg.heading_std_deg) * rng.normal(size=count)
         low, high = self._bounds(cfg.horizon_steps)
-        draws_DK[:, 1] += np.radians(cfg.spread_deg) * self.rng.normal(size=count)
-        noise = cfg.spread * (high - low) / 2 * self.rng.normal(size=(count, len(low)))
-        draws_DK[:, 2:] = (draws_DK[:, 2:] + noise).clip(low, high)
-        return np.concatenate([elites_EK, draws_DK])
+        others_SC = rng.uniform(low, high, size=(count, len(low)))
+        return np.column_stack([object_i, np.where(is_biased, goal_heading, heading), others_SC])
+
+    def _sample_around(self, cfg: PlannerConfig, elites_SC: Floats) -> Floats:
+        """The elites, then Gaussian perturbations of random elites."""
+        count = cfg.num_candidates * self.push.oversampling
+        params_SC = elites_SC[self.rng.integers(len(elites_SC), size=count)]
+        low, high = self._bounds(cfg.horizon_steps)
+        params_SC[:, 1] += np.radians(cfg.heading_std_deg) * self.rng.normal(size=count)
+        std = cfg.relative_std * (high - low) / 2
+        noise = std * self.rng.normal(size=(count, len(low)))
+        params_SC[:, 2:] = (params_SC[:, 2:] + noise).clip(low, high)
+        # The elites come first, so the filter for feasible plans never drops them.
+        return np.concatenate([elites_SC, params_SC])
 
     def _bounds(self, steps: int) -> Floats:
-        """Least and greatest aim, gap, turns and lengths: 2K."""
-        push, turn = self.push, np.radians(self.push.turn_deg)
-        gap = np.array(push.clearance_m) + self.rod.radius_m
+        """Lower and upper bounds 2C of offset, standoff, turns and lengths."""
+        push, turn = self.push, np.radians(self.push.max_turn_deg)
+        standoff = np.array(push.clearance_m) + self.rod.radius_m
+        # The first action follows the heading, so its turn is 0.
         turns = [(0.0, 0.0), *[(-turn, turn)] * (steps - 1)]
-        return np.array([(-push.aim, push.aim), gap, *turns, *[push.length_m] * steps]).T
+        offset = (-push.max_offset, push.max_offset)
+        return np.array([offset, standoff, *turns, *[push.length_m] * steps]).T
 
-    def _is_clear(self, start_D2: Floats) -> NDArray[np.bool_]:
-        """Starts where the rod keeps at least the smallest clearance from every cell of every
-        object.
-        """
-        clear = np.ones(len(start_D2), dtype=bool)
+    def _is_free(self, start_S2: Floats) -> NDArray[np.bool_]:
+        """Starts at least the smallest clearance away from every cell of every object."""
+        is_free_S = np.ones(len(start_S2), dtype=bool)
+        limit_m = self.rod.radius_m + self.push.clearance_m[0] - 1e-9
         for shape in (*self.shapes, *self.others):
-            gap_D = (
-                np.linalg.norm(start_D2[:, None] - shape.points_P2, axis=-1).min(axis=1)
-                - shape.cell_m / 2
-            )
-            clear &= gap_D >= self.rod.radius_m + self.push.clearance_m[0] - 1e-9
-        return clear
+            distance_SP = np.linalg.norm(start_S2[:, None] - shape.points_P2, axis=-1)
+            is_free_S &= distance_SP.min(axis=1) - shape.cell_m / 2 >= limit_m
+        return is_free_S
 
 
-def _actions(heading_D: Floats, turn_DH: Floats, length_DH: Floats) -> Floats:
-    """Horizontal displacements DH3: the first along the heading, each further one turned from the
-    one before.
-    """
-    angle = heading_D[:, None] + np.cumsum(turn_DH, axis=1)
-    return np.stack(
-        [length_DH * np.cos(angle), length_DH * np.sin(angle), np.zeros_like(angle)], axis=-1
-    )
+def _start(shape: Footprint, heading: float, offset: float, standoff: float) -> Floats:
+    """Position of the rod's axis ``standoff`` before its first contact along ``heading``.
 
-
-def _beside(shape: Footprint, heading: float, aim: float, gap: float) -> Floats:
-    """Where a rod that comes along ``heading`` stands when its axis is ``gap`` away from the first
-    cell it would meet.
-
-    Its line passes the footprint's middle at ``aim`` times half the footprint's width. ``gap``
-    includes the radius.
+    The push line passes the footprint's middle at ``offset`` times half its width. ``standoff``
+    (metres) includes the rod's radius.
     """
     forward = np.array([np.cos(heading), np.sin(heading)])
-    side = np.array([-forward[1], forward[0]])
-    offset_P2 = shape.points_P2 - shape.center_2
-    along, across = offset_P2 @ forward, offset_P2 @ side
-    line = aim * (float(np.ptp(across)) + shape.cell_m) / 2 + (across.max() + across.min()) / 2
-    reach = gap + shape.cell_m / 2
-    apart = np.abs(across - line)
-    met = apart < reach
-    stop = (along[met] - np.sqrt(reach**2 - apart[met] ** 2)).min(initial=0.0)
-    start: Floats = shape.center_2 + line * side + stop * forward
+    left = np.array([-forward[1], forward[0]])
+    cell_P2 = shape.points_P2 - shape.center_2
+    along_P, across_P = cell_P2 @ forward, cell_P2 @ left
+    width = float(np.ptp(across_P)) + shape.cell_m
+    line = offset * width / 2 + (across_P.max() + across_P.min()) / 2
+    # Each cell counts as a disc: the rod stops where the first disc is ``reach`` from its axis.
+    reach = standoff + shape.cell_m / 2
+    apart_P = np.abs(across_P - line)
+    is_hit_P = apart_P < reach
+    stops = along_P[is_hit_P] - np.sqrt(reach**2 - apart_P[is_hit_P] ** 2)
+    start: Floats = shape.center_2 + line * left + stops.min(initial=0.0) * forward
     return start
-
-
-def _grid(center_2: Floats, size_2: Floats, cell_m: float) -> Floats:
-    """Points P2 that fill a rectangle, at most one cell apart."""
-    axes = [np.linspace(-s / 2, s / 2, int(np.ceil(s / cell_m)) + 1) for s in size_2]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2) + center_2

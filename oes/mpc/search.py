@@ -1,9 +1,7 @@
-"""Planning by imagining: of many proposed plans, the one that costs least (paper 3.3 and C.3).
+"""Random shooting and the cross-entropy method over candidate plans (paper 3.3 and C.3).
 
-One round of independent proposals is random shooting, as in the paper; more rounds, each proposed
-around the best of the one before, are the cross-entropy method. Where a model draws futures, every
-plan is imagined in one, and the best of them in many. ``unroll`` and ``cost`` arrive as functions,
-so the planner cannot reach a simulator.
+One iteration of independent candidates is random shooting, as in the paper. With more iterations,
+each sampled around the elites of the one before, the search is the cross-entropy method (CEM).
 """
 
 from collections.abc import Callable
@@ -12,161 +10,153 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from oes.objects import map_tensors
+
 
 class PlanError(ValueError):
-    """Nothing can be planned: no push to propose, or none with a finite cost."""
+    """No plan exists: no push can be proposed, or no candidate has a finite cost."""
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """S candidate plans: where the rod starts (``tip_S3``, world) and its H displacements
-    (``actions_SH3``).
+    """S candidate plans: start of the rod's tip (world, metres) and its T displacements (metres).
 
-    ``draws_SK`` are the numbers that they were made from, for who proposes plans like the best of
-    these.
+    ``params_SC`` parametrizes the plans; the sampler of the next iteration perturbs it.
     """
 
     tip_S3: Tensor
-    actions_SH3: Tensor
-    draws_SK: Tensor
+    actions_ST3: Tensor
+    params_SC: Tensor
 
 
 @dataclass(frozen=True)
 class Rollouts:
-    """What S plans would do: the rod's way (I = H + 1 places), where each of N objects gets to and
-    how it turns.
+    """Predicted outcome of S candidate plans: the tip's path and the motion of N objects.
 
-    ``cost_SH``, of a model that judges for itself: metres to the goals, as it sees it. Of a model
-    that draws several futures of every plan, S counts them all, draw by draw, and ``draws`` says
-    how many.
+    ``position_STN3`` are positions (world, metres), ``rotation_STN33`` rotations since the start.
+    ``cost_ST`` (metres) overrides the planner's cost for models that predict their own. With
+    ``num_samples`` > 1 every leading dimension is MS, sample-major, instead of S.
     """
 
     tip_SI3: Tensor
-    position_SHN3: Tensor
-    turned_SHN33: Tensor
-    cost_SH: Tensor | None = None
-    draws: int = 1
+    position_STN3: Tensor
+    rotation_STN33: Tensor
+    cost_ST: Tensor | None = None
+    num_samples: int = 1
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The chosen candidate up to the step at which it costs least: start, actions, positions
-    imagined, and cost.
-    """
+    """The chosen candidate, truncated after its cheapest step, with its predicted positions."""
 
     tip_3: Tensor
-    actions_H3: Tensor
-    position_HN3: Tensor
+    actions_T3: Tensor
+    position_TN3: Tensor
     cost: float
 
 
-Propose = Callable[
-    [Tensor | None], Candidates
-]  # of the draws EK of the best plans of the round before; None at first
-Unroll = Callable[[Candidates, int], Rollouts]  # in so many futures of every plan
-Cost = Callable[[Rollouts], Tensor]  # SH: of every plan, were it to end after each of its steps
+Propose = Callable[[Tensor | None], Candidates]  # takes the last elites' params; None at first
+Unroll = Callable[[Candidates, int], Rollouts]  # takes the number of samples of the future
+Cost = Callable[[Rollouts], Tensor]  # cost ST of every plan if it stopped after each step
 
 
 @dataclass(frozen=True)
 class RiskConfig:
-    """How plans are judged whose future is uncertain: the ``shortlist`` best by the likeliest are
-    imagined in ``futures`` each, and cost the mean and ``aversion`` standard deviations.
+    """Reranking under uncertainty: the ``num_reranked`` cheapest plans by the nominal rollout are
+    unrolled ``num_samples`` times each and cost mean + ``risk_weight`` * standard deviation.
     """
 
-    shortlist: int
-    futures: int
-    aversion: float
+    num_reranked: int
+    num_samples: int
+    risk_weight: float
 
 
 @dataclass(frozen=True)
 class ScoredPlans:
-    """S plans, what they would do, what each costs and after which step (from 0) it costs that."""
+    """S plans with their rollouts, their lowest cost over steps and the step (from 0) it is at."""
 
-    proposals: Candidates
-    imagined: Rollouts
+    candidates: Candidates
+    rollouts: Rollouts
     cost_S: Tensor
     stop_S: Tensor
 
-    def best(self, count: int) -> Tensor:
-        """Numbers of the ``count`` cheapest, in order."""
-        return self.cost_S.argsort()[:count]
-
-    def shortlisted(self, count: int) -> tuple[Candidates, Tensor]:
-        """The ``count`` cheapest, no longer than any of them needs, and after which step (from 0)
-        each stops.
-        """
-        best = self.best(count)
-        chosen = Candidates(**{name: value[best] for name, value in vars(self.proposals).items()})
-        steps = int(self.stop_S[best].max()) + 1
-        return replace(chosen, actions_SH3=chosen.actions_SH3[:, :steps]), self.stop_S[best]
-
     def plan(self, i: int) -> Plan:
-        """One of them, up to where it costs least."""
+        """Candidate ``i`` up to its cheapest step."""
         steps = int(self.stop_S[i]) + 1
         return Plan(
-            tip_3=self.proposals.tip_S3[i],
-            actions_H3=self.proposals.actions_SH3[i, :steps],
-            position_HN3=self.imagined.position_SHN3[i, :steps],
+            tip_3=self.candidates.tip_S3[i],
+            actions_T3=self.candidates.actions_ST3[i, :steps],
+            position_TN3=self.rollouts.position_STN3[i, :steps],
             cost=float(self.cost_S[i]),
         )
-
-
-def risk_averse(cost_FH: Tensor, draws: int, aversion: float) -> Tensor:
-    """What plans cost, SH, of which each has ``draws`` futures: the mean and ``aversion`` standard
-    deviations.
-    """
-    cost_DSH = cost_FH.reshape(draws, -1, cost_FH.shape[-1])
-    if draws == 1:
-        return cost_DSH[0]
-    mean_SH = cost_DSH.mean(0)
-    spread_SH = (cost_DSH - mean_SH).nan_to_num(nan=0.0).square().mean(0).sqrt()
-    return mean_SH + aversion * spread_SH
 
 
 def search(
     propose: Propose,
     unroll: Unroll,
     cost: Cost,
-    rounds: int = 1,
-    elites: int = 1,
+    iterations: int = 1,
+    num_elites: int = 1,
     risk: RiskConfig | None = None,
 ) -> Plan:
-    """The best plan of ``rounds`` rounds; each after the first is proposed from the ``elites`` best
-    of the last.
+    """The cheapest plan over all iterations; raises PlanError when no cost is finite.
 
-    ``risk``: where plans are judged in several futures; its shortlist holds the elites. Raises
-    PlanError when no candidate has a finite cost: a diverged model plans nothing.
+    With ``risk``, costs are those after reranking; ``num_reranked`` must be >= ``num_elites``.
     """
     best: Plan | None = None
-    drawn: Tensor | None = None
-    for _ in range(rounds):
-        judged = _score(propose(drawn), unroll, cost)
+    elites_SC: Tensor | None = None
+    for _ in range(iterations):
+        scored = _score(propose(elites_SC), unroll, cost)
         if risk is not None:
-            proposals, stop_S = judged.shortlisted(risk.shortlist)
-            judged = _score(proposals, unroll, cost, risk.futures, risk.aversion, stop_S)
-        order = judged.best(elites)
-        if best is None or judged.cost_S[order[0]] < best.cost:
-            best = judged.plan(int(order[0]))
-        drawn = judged.proposals.draws_SK[order]
+            scored = _rerank(scored, unroll, cost, risk)
+        order = scored.cost_S.argsort()[:num_elites]
+        if best is None or scored.cost_S[order[0]] < best.cost:
+            best = scored.plan(int(order[0]))
+        elites_SC = scored.candidates.params_SC[order]
     if best is None or not torch.isfinite(torch.tensor(best.cost)):
-        raise PlanError(f"plan: no candidate has a finite cost in {rounds} rounds")
+        raise PlanError(f"plan: no candidate has a finite cost in {iterations} iterations")
     return best
 
 
-def _score(
-    proposals: Candidates,
-    unroll: Unroll,
-    cost: Cost,
-    futures: int = 1,
-    aversion: float = 0.0,
-    stop_S: Tensor | None = None,
+def _score(candidates: Candidates, unroll: Unroll, cost: Cost) -> ScoredPlans:
+    rollouts = unroll(candidates, 1)
+    return _cheapest_step(candidates, rollouts, cost(rollouts))
+
+
+def _rerank(scored: ScoredPlans, unroll: Unroll, cost: Cost, risk: RiskConfig) -> ScoredPlans:
+    """The cheapest plans of a nominal scoring, scored again over samples of the future."""
+    top = scored.cost_S.argsort()[: risk.num_reranked]
+    stop_S = scored.stop_S[top]
+    candidates = map_tensors(scored.candidates, lambda x: x[top])
+    # No plan is unrolled past the last of the nominal stops: later steps cannot be chosen.
+    steps = int(stop_S.max()) + 1
+    candidates = replace(candidates, actions_ST3=candidates.actions_ST3[:, :steps])
+    rollouts = unroll(candidates, risk.num_samples)
+    cost_ST = risk_adjusted(cost(rollouts), rollouts.num_samples, risk.risk_weight)
+    is_late_ST = torch.arange(steps) > stop_S[:, None]
+    return _cheapest_step(candidates, rollouts, cost_ST, is_late_ST)
+
+
+def _cheapest_step(
+    candidates: Candidates,
+    rollouts: Rollouts,
+    cost_ST: Tensor,
+    is_excluded_ST: Tensor | None = None,
 ) -> ScoredPlans:
-    """Every plan in so many futures. ``stop_S``: after which step (from 0) each ends at the
-    latest.
-    """
-    imagined = unroll(proposals, futures)
-    cost_SH = torch.nan_to_num(risk_averse(cost(imagined), imagined.draws, aversion), nan=torch.inf)
-    assert cost_SH.shape == proposals.actions_SH3.shape[:2], cost_SH.shape
-    if stop_S is not None:
-        cost_SH = cost_SH.masked_fill(torch.arange(cost_SH.shape[1]) > stop_S[:, None], torch.inf)
-    return ScoredPlans(proposals, imagined, *cost_SH.min(dim=1))
+    # A diverged model predicts NaN: its plans are never chosen.
+    cost_ST = torch.nan_to_num(cost_ST, nan=torch.inf)
+    assert cost_ST.shape == candidates.actions_ST3.shape[:2], cost_ST.shape
+    if is_excluded_ST is not None:
+        cost_ST = cost_ST.masked_fill(is_excluded_ST, torch.inf)
+    return ScoredPlans(candidates, rollouts, *cost_ST.min(dim=1))
+
+
+def risk_adjusted(cost_ST: Tensor, num_samples: int, risk_weight: float) -> Tensor:
+    """Mean + ``risk_weight`` * standard deviation over samples: (MS)T costs become ST."""
+    cost_MST = cost_ST.reshape(num_samples, -1, cost_ST.shape[-1])
+    if num_samples == 1:
+        return cost_MST[0]
+    mean_ST = cost_MST.mean(0)
+    # inf - inf is NaN: a plan that fails in every sample has no spread, and stays infinite.
+    std_ST = (cost_MST - mean_ST).nan_to_num(nan=0.0).square().mean(0).sqrt()
+    return mean_ST + risk_weight * std_ST

@@ -27,12 +27,12 @@ SceneT = TypeVar("SceneT")
 class TrackConfig:
     """How detections become the objects of the task.
 
-    A detection belongs to an object at most ``match_m`` from where that is expected; an object
+    A detection belongs to an object at most ``gate_m`` from where that is expected; an object
     never detected counts as a cube of ``unseen_size_m``; mask voxels above ``mask`` (0..1) make up
     its footprint.
     """
 
-    match_m: float
+    gate_m: float
     unseen_size_m: float
     mask: float
 
@@ -47,7 +47,7 @@ class PlanningConfig:
     push: PushConfig
     avoid: AvoidConfig
     track: TrackConfig
-    aversion: float
+    risk_weight: float
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Planner(Generic[SceneT]):
             values.double().cpu().numpy() for values in self.eyes.detect(scene)
         )
         center_N3, size_N3, is_seen_N = update_tracks(
-            center_N3, size_N3, seen_center_D3, seen_size_D3, self.cfg.track.match_m
+            center_N3, size_N3, seen_center_D3, seen_size_D3, self.cfg.track.gate_m
         )
         center, size, score = (
             torch.from_numpy(values).float() for values in (center_N3, size_N3, is_seen_N)
@@ -144,16 +144,16 @@ class Planner(Generic[SceneT]):
             PushSampler(scene.moved, scene.obstacles, self.rod, self.cfg.push, rng),
             cost.headings(),
         )
-        asks_again = self.mind.draws_futures and search_cfg.futures > 1
+        asks_again = self.mind.draws_futures and search_cfg.num_samples > 1
         found = search(
             lambda elites: sampler(search_cfg, headings_G, elites),
             lambda proposals, futures: self.mind.imagine(belief, goal_G3, proposals, futures),
             cost,
-            search_cfg.rounds,
-            search_cfg.elites,
-            RiskConfig(search_cfg.shortlist, search_cfg.futures, self.cfg.aversion)
+            search_cfg.iterations,
+            search_cfg.num_elites,
+            RiskConfig(search_cfg.num_reranked, search_cfg.num_samples, self.cfg.risk_weight)
             if asks_again
             else None,
         )
         judges_itself = self.mind.view is not None  # then its cost is on a scale of its own
-        return found if judges_itself or found.cost < cost.at_rest() else None
+        return found if judges_itself or found.cost < cost.initial() else None

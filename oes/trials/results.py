@@ -72,7 +72,8 @@ def trial_rows(
             "scenario": name,
             "model": model,
             "planner": trial.planner,
-            "plans": (search := scenario.planners[trial.planner]).rounds * search.candidates,
+            "plans": (search := scenario.planners[trial.planner]).iterations
+            * search.num_candidates,
             "horizon": search.horizon_steps,
             "trial_i": trial.trial_i,
             "num_objects": len(trial.task.bodies) if trial.task else 0,

@@ -74,11 +74,11 @@ def planned_image(
     if moment.chosen is not None:
         tip, actions = (
             moment.chosen.tip_3.double().numpy(),
-            moment.chosen.actions_H3.double().numpy(),
+            moment.chosen.actions_T3.double().numpy(),
         )
         for start, action in zip(tip + np.cumsum(actions, axis=0) - actions, actions, strict=True):
             picture.arrow(start, action, PUSH)
-        positions_HN3 = moment.chosen.position_HN3.double().numpy()
+        positions_HN3 = moment.chosen.position_TN3.double().numpy()
         for object_i in range(len(goal_G3)):
             path = np.concatenate(
                 [moment.belief.center_N3[None, object_i], positions_HN3[:, object_i]]

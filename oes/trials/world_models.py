@@ -98,7 +98,10 @@ class GraphWorldModel:
         found = unroll_samples(self.model, appearance_FNC, state, tip_F3, actions_FH3)
         position_FHN3 = objects.center_N3 + found.translation_BTN3
         return Rollouts(
-            _path(proposals).repeat(draws, 1, 1), position_FHN3, found.rotation_BTN33, num_samples=draws
+            _path(proposals).repeat(draws, 1, 1),
+            position_FHN3,
+            found.rotation_BTN33,
+            num_samples=draws,
         )
 
 

@@ -1,6 +1,4 @@
-"""The planner against problems whose optimum is known, and the proposals against the geometry they
-must respect.
-"""
+"""Search on problems with a known optimum; sampled pushes and tracks against their constraints."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from oes.geom.assignment import assign
 from oes.mpc.sampler import (
     Footprint,
     NoFreeStart,
@@ -21,76 +20,78 @@ from oes.mpc.sampler import (
     object_footprint,
 )
 from oes.mpc.search import Candidates, Plan, PlanError, RiskConfig, Rollouts, search
-from oes.mpc.tracking import assign, update_tracks
+from oes.mpc.tracking import update_tracks
 
 PUSH = PushConfig(
-    attempts=10, length_m=(0.03, 0.06), clearance_m=(0.005, 0.015), aim=0.6, turn_deg=30.0
+    oversampling=10,
+    length_m=(0.03, 0.06),
+    clearance_m=(0.005, 0.015),
+    max_offset=0.6,
+    max_turn_deg=30.0,
 )
 SEARCH = PlannerConfig(
-    candidates=30,
+    num_candidates=30,
     horizon_steps=1,
-    rounds=1,
-    elites=5,
-    toward=0.0,
-    spread_deg=10.0,
-    spread=0.2,
-    shortlist=5,
-    futures=1,
+    iterations=1,
+    num_elites=5,
+    goal_bias=0.0,
+    heading_std_deg=10.0,
+    relative_std=0.2,
+    num_reranked=5,
+    num_samples=1,
 )
-ROD = Rod(radius_m=0.008, tip_height_m=0.02, reach_m=0.3)
+ROD = Rod(radius_m=0.008, tip_height_m=0.02, workspace_m=0.3)
 
 
-def _double_integrator(proposals: Candidates, futures: int = 1) -> Rollouts:
-    """Positions SH13 of a unit mass at rest at the origin under the actions as accelerations, unit
+def _double_integrator(candidates: Candidates, num_samples: int = 1) -> Rollouts:
+    """Positions ST13 of a unit mass at rest at the origin under the actions as accelerations, unit
     time steps.
     """
-    velocity = proposals.actions_SH3.cumsum(dim=1)
+    velocity = candidates.actions_ST3.cumsum(dim=1)
     return _moved(velocity.cumsum(dim=1)[:, :, None])
 
 
-def _moved(position_SHN3: Tensor) -> Rollouts:
-    samples, horizon = position_SHN3.shape[:2]
+def _moved(position_STN3: Tensor) -> Rollouts:
+    samples, horizon = position_STN3.shape[:2]
     return Rollouts(
         torch.zeros(samples, horizon + 1, 3),
-        position_SHN3,
-        torch.eye(3).expand(*position_SHN3.shape, 3),
+        position_STN3,
+        torch.eye(3).expand(*position_STN3.shape, 3),
     )
 
 
 def _at_the_end(goal_3: Tensor) -> Callable[[Rollouts], Tensor]:
-    """Distance from the goal after the last step; it is no use to stop before."""
+    """Distance from the goal after the last step; stopping earlier is infinitely costly."""
 
-    def cost(imagined: Rollouts) -> Tensor:
-        distance_SH = (imagined.position_SHN3[:, :, 0] - goal_3).norm(dim=-1)
-        return torch.cat([torch.full_like(distance_SH[:, 1:], torch.inf), distance_SH[:, -1:]], 1)
+    def cost(rollouts: Rollouts) -> Tensor:
+        distance_ST = (rollouts.position_STN3[:, :, 0] - goal_3).norm(dim=-1)
+        return torch.cat([torch.full_like(distance_ST[:, 1:], torch.inf), distance_ST[:, -1:]], 1)
 
     return cost
 
 
-def _given(actions_SH3: Tensor) -> Candidates:
-    return Candidates(actions_SH3[:, 0], actions_SH3, actions_SH3[..., 0])
+def _given(actions_ST3: Tensor) -> Candidates:
+    return Candidates(actions_ST3[:, 0], actions_ST3, actions_ST3[..., 0])
 
 
-def _along_x(goal: float, actions_SH3: Tensor) -> Plan:
+def _along_x(goal: float, actions_ST3: Tensor) -> Plan:
     return search(
-        lambda _: _given(actions_SH3),
+        lambda _: _given(actions_ST3),
         _double_integrator,
         _at_the_end(torch.tensor([goal, 0.0, 0.0])),
     )
 
 
 class Gaussian:
-    """Accelerations along x, drawn anywhere in [-1, 1] and then about the elites, as wide as those
-    are spread.
-    """
+    """Accelerations along x: standard normal, then Gaussian with the mean and std of the elites."""
 
     def __init__(self, count: int, seed: int) -> None:
         self.count, self.generator = count, torch.Generator().manual_seed(seed)
 
-    def __call__(self, elites_EK: Tensor | None) -> Candidates:
+    def __call__(self, elites_SC: Tensor | None) -> Candidates:
         drawn = torch.randn(self.count, 3, generator=self.generator)
-        if elites_EK is not None:
-            drawn = elites_EK.mean(0) + elites_EK.std(0) * drawn
+        if elites_SC is not None:
+            drawn = elites_SC.mean(0) + elites_SC.std(0) * drawn
         actions = torch.zeros(self.count, 3, 3)
         actions[..., 0] = drawn.clamp(-1, 1)
         return _given(actions)
@@ -104,27 +105,27 @@ def test_double_integrator_reaches_the_closed_form_optimum() -> None:
     actions[..., 0] = torch.rand(20000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
     beyond = _along_x(9.0, actions)
     assert beyond.cost == pytest.approx(3.0, abs=0.25)
-    assert (beyond.actions_H3[:, 0] > 0.8).all()
+    assert (beyond.actions_T3[:, 0] > 0.8).all()
     assert _along_x(2.0, actions).cost < 0.01
 
 
-def test_more_rounds_come_closer_than_as_many_plans_in_one() -> None:
-    """90 plans of the double integrator in three rounds and in one, 20 times."""
+def test_cem_beats_random_shooting_with_as_many_plans() -> None:
+    """90 plans of the double integrator in three iterations and in one, 20 seeds."""
     cost = _at_the_end(torch.tensor([2.7, 0.0, 0.0]))
     rounds = [search(Gaussian(30, seed), _double_integrator, cost, 3, 5).cost for seed in range(20)]
     once = [search(Gaussian(90, seed), _double_integrator, cost).cost for seed in range(20)]
     assert np.mean(rounds) < 0.5 * np.mean(once)
 
 
-def test_the_best_of_all_rounds_is_kept() -> None:
+def test_the_best_of_all_iterations_is_kept() -> None:
     offers = iter([torch.tensor([[[1.0, 0, 0]]]), torch.tensor([[[5.0, 0, 0]]])])
     best = search(
         lambda _: _given(next(offers)),
-        lambda p, _: _moved(p.actions_SH3[:, :, None]),
+        lambda p, _: _moved(p.actions_ST3[:, :, None]),
         _at_the_end(torch.zeros(3)),
         2,
     )
-    assert best.cost == 1.0 and best.actions_H3.tolist() == [[1.0, 0, 0]]
+    assert best.cost == 1.0 and best.actions_T3.tolist() == [[1.0, 0, 0]]
 
 
 def test_point_mass_picks_the_nearest_candidate_for_every_goal() -> None:
@@ -132,23 +133,23 @@ def test_point_mass_picks_the_nearest_candidate_for_every_goal() -> None:
     for goal in torch.randn(5, 3, generator=torch.Generator().manual_seed(2)):
         best = search(
             lambda _: _given(actions),
-            lambda p, _: _moved(p.actions_SH3[:, :, None]),
+            lambda p, _: _moved(p.actions_ST3[:, :, None]),
             _at_the_end(goal),
         )
         distance = (actions[:, 0] - goal).norm(dim=-1)
         assert best.cost == pytest.approx(float(distance.min()))
-        assert torch.equal(best.actions_H3[0], actions[distance.argmin(), 0])
-        assert torch.equal(best.position_HN3[0, 0], best.actions_H3[0])
+        assert torch.equal(best.actions_T3[0], actions[distance.argmin(), 0])
+        assert torch.equal(best.position_TN3[0, 0], best.actions_T3[0])
 
 
-def test_a_plan_ends_where_it_costs_least() -> None:
+def test_a_plan_is_truncated_after_its_cheapest_step() -> None:
     actions = torch.tensor([[[1.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]])
     best = search(
         lambda _: _given(actions),
-        lambda p, _: _moved(p.actions_SH3.cumsum(1)[:, :, None]),
-        lambda imagined: (imagined.position_SHN3[:, :, 0, 0] - 2).abs(),
+        lambda p, _: _moved(p.actions_ST3.cumsum(1)[:, :, None]),
+        lambda rollouts: (rollouts.position_STN3[:, :, 0, 0] - 2).abs(),
     )
-    assert best.cost == 0 and best.actions_H3.shape == (2, 3) and best.position_HN3[-1, 0, 0] == 2
+    assert best.cost == 0 and best.actions_T3.shape == (2, 3) and best.position_TN3[-1, 0, 0] == 2
 
 
 def test_diverged_candidates_are_never_chosen() -> None:
@@ -156,77 +157,79 @@ def test_diverged_candidates_are_never_chosen() -> None:
     factor, cost = torch.tensor([torch.nan, 1.0]), _at_the_end(torch.zeros(3))
     best = search(
         lambda _: _given(actions),
-        lambda p, _: _moved((p.actions_SH3 * factor[:, None, None])[:, :, None]),
+        lambda p, _: _moved((p.actions_ST3 * factor[:, None, None])[:, :, None]),
         cost,
     )
     assert best.cost == pytest.approx(1.0)
     with pytest.raises(PlanError, match="no candidate has a finite cost"):
         search(
             lambda _: _given(actions),
-            lambda p, _: _moved(p.actions_SH3[:, :, None] * torch.nan),
+            lambda p, _: _moved(p.actions_ST3[:, :, None] * torch.nan),
             cost,
         )
 
 
-def _windy(proposals: Candidates, futures: int) -> Rollouts:
-    """A point that goes where it is pushed; in futures but the first, the farther it is pushed at
-    once, the farther it is blown to either side.
+def _windy(candidates: Candidates, num_samples: int) -> Rollouts:
+    """A point that follows its actions; in all samples but the first it also drifts sideways, by
+    the square of its first action.
     """
-    was_SH3 = proposals.actions_SH3.cumsum(1)
-    wind_DS = (
-        torch.linspace(-1, 1, futures)[:, None] * proposals.actions_SH3[:, 0].norm(dim=-1).square()
+    nominal_ST3 = candidates.actions_ST3.cumsum(1)
+    wind_MS = (
+        torch.linspace(-1, 1, num_samples)[:, None]
+        * candidates.actions_ST3[:, 0].norm(dim=-1).square()
     )
-    aside_DSH3 = torch.zeros(futures, *was_SH3.shape)
-    aside_DSH3[1:, ..., 1] = wind_DS[1:, :, None]
-    position_FH3 = (was_SH3 + aside_DSH3).flatten(0, 1)
-    return replace(_moved(position_FH3[:, :, None]), draws=futures)
+    offset_MST3 = torch.zeros(num_samples, *nominal_ST3.shape)
+    offset_MST3[1:, ..., 1] = wind_MS[1:, :, None]
+    position_ST3 = (nominal_ST3 + offset_MST3).flatten(0, 1)
+    return replace(_moved(position_ST3[:, :, None]), num_samples=num_samples)
 
 
-def test_a_plan_that_may_go_wrong_costs_more_the_more_one_is_averse_to_it() -> None:
+def test_an_uncertain_plan_costs_more_the_larger_the_risk_weight() -> None:
     bold, timid = [[1.0, 0, 0], [0.0, 0, 0]], [[0.45, 0, 0], [0.45, 0, 0]]
     cost = _at_the_end(torch.tensor([1.0, 0.0, 0.0]))
     plans = {
-        aversion: search(
+        risk_weight: search(
             lambda _: _given(torch.tensor([bold, timid])),
             _windy,
             cost,
-            risk=RiskConfig(2, 9, aversion),
+            risk=RiskConfig(2, 9, risk_weight),
         )
-        for aversion in (0.0, 1.0)
+        for risk_weight in (0.0, 1.0)
     }
     once = search(lambda _: _given(torch.tensor([bold, timid])), _windy, cost)
-    assert once.actions_H3.tolist() == bold, "in the likeliest future it gets there"
-    assert all(plan.actions_H3.tolist() == torch.tensor(timid).tolist() for plan in plans.values())
+    assert once.actions_T3.tolist() == bold, "the nominal rollout reaches the goal"
+    assert all(plan.actions_T3.tolist() == torch.tensor(timid).tolist() for plan in plans.values())
     assert plans[1.0].cost > plans[0.0].cost > 0.1
 
 
-def test_only_the_shortlist_is_imagined_again_and_each_plan_only_to_where_it_cost_least() -> None:
+def test_only_the_cheapest_plans_are_reranked_and_only_up_to_their_cheapest_step() -> None:
     seen: list[tuple[Candidates, int]] = []
 
-    def unroll(proposals: Candidates, futures: int) -> Rollouts:
-        seen.append((proposals, futures))
-        return _windy(proposals, futures)
+    def unroll(candidates: Candidates, num_samples: int) -> Rollouts:
+        seen.append((candidates, num_samples))
+        return _windy(candidates, num_samples)
 
     actions = torch.zeros(20, 3, 3)
     actions[:, 0, 0], actions[:, 1, 0], actions[:, 2, 0] = torch.linspace(0, 1, 20), 0.5, 5.0
     best = search(
         lambda _: _given(actions),
         unroll,
-        lambda i: (i.position_SHN3[:, :, 0, 0] - 1).abs(),
+        lambda i: (i.position_STN3[:, :, 0, 0] - 1).abs(),
         1,
         2,
         RiskConfig(3, 4, 0.5),
     )
-    assert [(len(proposals.tip_S3), futures) for proposals, futures in seen] == [(20, 1), (3, 4)]
-    again_SH = seen[1][0].actions_SH3[..., 0]
-    assert again_SH[:, 1].tolist() == [0.5, 0.5, 0.5] and (again_SH[:, 0] >= 0.4).all(), (
+    assert [(len(candidates.tip_S3), num_samples) for candidates, num_samples in seen] == [
+        (20, 1),
+        (3, 4),
+    ]
+    again_ST = seen[1][0].actions_ST3[..., 0]
+    assert again_ST[:, 1].tolist() == [0.5, 0.5, 0.5] and (again_ST[:, 0] >= 0.4).all(), (
         "two of the three actions"
     )
-    assert best.actions_H3[:, 0].tolist() == [1.0], (
-        "what would come after the best place is not looked at again"
-    )
-    with pytest.raises(ValueError, match="shortlist must be at least elites"):
-        replace(SEARCH, elites=SEARCH.shortlist + 1)
+    assert best.actions_T3[:, 0].tolist() == [1.0], "later steps are not rolled out again"
+    with pytest.raises(ValueError, match="num_reranked must be at least num_elites"):
+        replace(SEARCH, num_elites=SEARCH.num_reranked + 1)
 
 
 def _square(center: tuple[float, float], half_cells: int) -> Footprint:
@@ -252,27 +255,27 @@ def _sample(
     )
 
 
-def test_pushes_set_out_where_asked_and_then_stay_near_the_elites() -> None:
+def test_pushes_head_for_the_goal_and_then_stay_near_the_elites() -> None:
     sampler = PushSampler(
         [_square((0.0, 0.0), 3)], [_square((0.3, 0.3), 3)], ROD, PUSH, np.random.default_rng(0)
     )
-    toward = sampler(replace(SEARCH, toward=1.0), np.array([0.7]), None)
-    heading = torch.atan2(toward.actions_SH3[:, 0, 1], toward.actions_SH3[:, 0, 0])
+    toward = sampler(replace(SEARCH, goal_bias=1.0), np.array([0.7]), None)
+    heading = torch.atan2(toward.actions_ST3[:, 0, 1], toward.actions_ST3[:, 0, 0])
     assert heading.mean() == pytest.approx(0.7, abs=0.1) and 0.1 < heading.std() < 0.25
-    elites = toward.draws_SK[:2]
+    elites = toward.params_SC[:2]
     again = sampler(SEARCH, np.array([0.7]), elites)
-    assert torch.equal(again.draws_SK[:2], elites) and torch.equal(
+    assert torch.equal(again.params_SC[:2], elites) and torch.equal(
         again.tip_S3[:2], toward.tip_S3[:2]
     )
-    assert (again.draws_SK[:, None, 1] - elites[:, 1]).abs().amin(1).max() < 0.7
-    assert len(again.tip_S3) == SEARCH.candidates and again.draws_SK[:, 1].std() > 0.05
+    assert (again.params_SC[:, None, 1] - elites[:, 1]).abs().amin(1).max() < 0.7
+    assert len(again.tip_S3) == SEARCH.num_candidates and again.params_SC[:, 1].std() > 0.05
 
 
 def test_starts_are_beside_their_object_and_clear_of_every_other() -> None:
     centers = [(0.0, 0.0), (0.09, 0.0)]
-    proposals = _sample([_square(center, 3) for center in centers])
-    object_i = proposals.draws_SK[:, 0].numpy().astype(int)
-    tip = proposals.tip_S3.numpy().astype(float)
+    candidates = _sample([_square(center, 3) for center in centers])
+    object_i = candidates.params_SC[:, 0].numpy().astype(int)
+    tip = candidates.tip_S3.numpy().astype(float)
     assert len(tip) == 30 and set(object_i) == {0, 1} and tip[:, 2] == pytest.approx(0.02)
     gaps = np.stack([_gap(tip[:, :2], center, 0.03) for center in centers], axis=1)
     assert gaps.min() >= ROD.radius_m + PUSH.clearance_m[0] - 1e-3, (
@@ -285,11 +288,11 @@ def test_starts_are_beside_their_object_and_clear_of_every_other() -> None:
     assert own.max() - own.min() > 0.005, "clearances do not vary"
 
 
-def test_pushes_meet_their_object_with_the_asked_lengths() -> None:
-    proposals = _sample(
-        [_square((0.05, -0.05), 2)], replace(SEARCH, horizon_steps=4), replace(PUSH, aim=0.9)
+def test_pushes_hit_their_object_with_lengths_in_range() -> None:
+    candidates = _sample(
+        [_square((0.05, -0.05), 2)], replace(SEARCH, horizon_steps=4), replace(PUSH, max_offset=0.9)
     )
-    actions, tip = proposals.actions_SH3.numpy(), proposals.tip_S3.numpy()
+    actions, tip = candidates.actions_ST3.numpy(), candidates.tip_S3.numpy()
     length = np.linalg.norm(actions, axis=-1)
     assert actions.shape == (30, 4, 3) and (actions[..., 2] == 0).all()
     assert length.min() >= 0.03 - 1e-6 and length.max() <= 0.06 + 1e-6 and length.std() > 0.004
@@ -300,10 +303,10 @@ def test_pushes_meet_their_object_with_the_asked_lengths() -> None:
     assert np.ptp(np.arctan2(actions[:, 0, 1], actions[:, 0, 0])) > 4, "headings do not vary"
 
 
-def test_the_rod_stays_within_reach() -> None:
-    proposals = _sample([_square((0.24, 0.0), 3)])
-    end = proposals.tip_S3 + proposals.actions_SH3.sum(dim=1)
-    assert max(proposals.tip_S3.abs().max(), end.abs().max()) <= ROD.reach_m
+def test_the_rod_stays_within_its_workspace() -> None:
+    candidates = _sample([_square((0.24, 0.0), 3)])
+    end = candidates.tip_S3 + candidates.actions_ST3.sum(dim=1)
+    assert max(candidates.tip_S3.abs().max(), end.abs().max()) <= ROD.workspace_m
 
 
 def test_empty_mask_falls_back_to_the_box() -> None:
