@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from oes.apps.demo import find_catalogue
+from oes.apps.assets import find_catalogue
 from oes.apps.evaluate import KEPT, TRAINED, find_weights
 from oes.config import load
 from oes.perception.perceiver import Perceiver

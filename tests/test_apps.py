@@ -11,8 +11,9 @@ import trimesh
 import yaml
 
 from oes.apps import demo, evaluate
+from oes.apps.assets import WeightsMissing, find_catalogue, find_weights
 from oes.apps.demo import DemoConfig
-from oes.apps.evaluate import EvaluateConfig, EvaluateError, find_weights
+from oes.apps.evaluate import EvaluateConfig
 from oes.config import load
 from oes.meshes.catalogue import CatalogueError
 from tests.blocks import SMOKE, make_catalogue, make_weights
@@ -70,13 +71,13 @@ def test_evaluate_refuses_what_it_cannot_use(study: Path) -> None:
         evaluate.main(cfg, study / "junk")
     with pytest.raises(FileNotFoundError, match="nowhere"):
         evaluate.main(cfg, study / "nowhere")
-    with pytest.raises(EvaluateError, match=r"no trained weights in datasets or .*make all"):
+    with pytest.raises(WeightsMissing, match=r"no trained weights in datasets or .*make all"):
         find_weights((Path("datasets"), study), ())
-    with pytest.raises(EvaluateError, match="no trained weights"):
+    with pytest.raises(WeightsMissing, match="no trained weights"):
         find_weights((study / "reports" / "models",), ("graph_xyz_image",))
 
 
-def test_demo_films_imagined_beside_real(study: Path) -> None:
+def test_demo_shows_forecast_beside_execution(study: Path) -> None:
     make_catalogue(study / "datasets" / "meshes")
     demo.main(load(study / "params.yaml", "demo", DemoConfig))
     with av.open(str(study / "demo.mp4")) as container:
@@ -87,8 +88,8 @@ def test_demo_films_imagined_beside_real(study: Path) -> None:
 
 
 def test_demo_without_a_catalogue_makes_novel_plates_to_push(study: Path) -> None:
-    catalogue = demo.find_catalogue()
+    catalogue = find_catalogue()
     train, test = catalogue.split("train"), catalogue.split("test")
     assert {mesh.category for mesh in train + test} == {"mit_push"}
     assert (len(train), len(test)) == (8, 3)
-    assert demo.find_catalogue().meshes.keys() == catalogue.meshes.keys()
+    assert find_catalogue().meshes.keys() == catalogue.meshes.keys()

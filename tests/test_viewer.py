@@ -30,7 +30,7 @@ from tests.blocks import make_catalogue, make_weights, read_sim
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
-class Seer(Perceiver):
+class OraclePerceiver(Perceiver):
     """Finds the objects where they truly are."""
 
     episode: Episode
@@ -64,7 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def viewer(folder: Path) -> Viewer:
-    perceiver = Seer.load(folder / "perception" / "perception.safetensors")
+    perceiver = OraclePerceiver.load(folder / "perception" / "perception.safetensors")
     source = FrameSource(folder / "traj_000000")
     perceiver.episode = source.episodes[0]
     model = load_model(folder / "dynamics" / "pushing-oes")
@@ -81,20 +81,18 @@ def wait(is_done: Callable[[], bool], seconds: float = 30.0) -> None:
         time.sleep(0.02)
 
 
-def test_what_is_dragged_is_forecast_anew_and_can_be_simulated_and_put_back(viewer: Viewer) -> None:
+def test_a_drag_updates_the_forecast_and_can_be_simulated_and_reset(viewer: Viewer) -> None:
     session, first = viewer.session, viewer.session.first.scene.objects.center_N3.double().numpy()
     viewer.panel.T.value = 0
     viewer.update()
     assert np.asarray(viewer.moving[0].position) == pytest.approx(first[0], abs=1e-5)
-    assert (
-        "0 mm from what happened" in viewer.panel.status.content and viewer.panel.photograph.visible
-    )
+    assert "0 mm error" in viewer.panel.status.content and viewer.panel.recorded.visible
     viewer._drag(0, first[0] + np.array([0.03, -0.02, 0.01]))
     wait(lambda: np.allclose(viewer.moving[0].position, first[0] + [0.03, -0.02, 0.0], atol=1e-5))
     wait(lambda: "not simulated yet" in viewer.panel.status.content)
-    assert not viewer.true[0].visible and not viewer.panel.photograph.visible
+    assert not viewer.true[0].visible and not viewer.panel.recorded.visible
     viewer.simulate()
-    wait(lambda: "mm from what happened" in viewer.panel.status.content)
+    wait(lambda: "mm error" in viewer.panel.status.content)
     true = viewer.true[session.first.scene.truth[0]]
     wait(
         lambda: (
@@ -104,11 +102,11 @@ def test_what_is_dragged_is_forecast_anew_and_can_be_simulated_and_put_back(view
     viewer.restore()
     wait(
         lambda: (
-            viewer.panel.photograph.visible
+            viewer.panel.recorded.visible
             and np.allclose(viewer.moving[0].position, first[0], atol=1e-5)
         )
     )
-    assert not session.change.shift_N3.any() and viewer.happened is session.first.episode
+    assert not session.change.shift_N3.any() and viewer.truth is session.first.episode
 
 
 def test_the_push_starts_where_it_is_dragged_and_turns_with_its_end(viewer: Viewer) -> None:

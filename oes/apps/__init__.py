@@ -1,1 +1,1 @@
-"""Programs for people: demo, viewer, evaluation on your own meshes."""
+"""Programs for users: ``demo``, ``view`` and ``evaluate``. They may import every package of oes."""

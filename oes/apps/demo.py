@@ -1,26 +1,23 @@
-"""One pushing task with a novel object, planned and executed: imagined and real motion side by side
-in demo.mp4.
+"""One push planned and executed on a novel object: forecast and execution side by side in demo.mp4.
 
-``python -m oes.apps.demo`` needs no dataset: it uses the weights in git, and makes a small
-catalogue where there is none.
+``python -m oes.apps.demo`` needs no dataset: it uses the weights in git and makes a small catalogue
+of meshes if there is none.
 """
 
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.apps.evaluate import KEPT, TRAINED, find_weights
+from oes.apps.assets import DATASETS, KEPT, find_catalogue, find_weights
 from oes.cli import run
 from oes.config import PARAMS, load, params
 from oes.episode import Body, Floats, Step
-from oes.meshes.build import MeshesConfig, build_catalogue
-from oes.meshes.catalogue import Catalogue, load_catalogue
+from oes.meshes.catalogue import Catalogue
 from oes.mpc.search import Plan
 from oes.perception.perceiver import Perceiver
 from oes.sim.rig import rig
@@ -35,71 +32,50 @@ from oes.viz.overlay import GOAL, IMAGINED, PUSH, CameraOverlay, write_video
 log = logging.getLogger(__name__)
 
 SCENARIO, PLANNER, MODEL = "targets", "cem", "oes"
-MESHES, SPARE = Path("datasets/meshes"), Path(".work/demo-meshes")
 DEMO_FILE = Path("demo.mp4")
 
 
 @params
 class DemoConfig:
-    """The section ``demo``: which task, into how many pictures each push is divided, and the
-    film.
-    """
+    """The section ``demo``: the goal's distance, video frames per push, and the video's format."""
 
     seed: int
     goal_m: tuple[float, float]
-    pictures_per_push: int
+    frames_per_push: int
     zoom: int
-    pictures_per_s: int
+    fps: int
     hold_s: float
 
 
 def main(cfg: DemoConfig) -> None:
-    """Plan and push until the object is believed at its goal; write the film. Raises EvaluateError
-    without weights.
+    """Plan and push until the estimated position reaches the goal, and write the video.
+
+    Raises WeightsMissing.
     """
     trials = load(PARAMS, "trials", TrialsConfig)
     scenario = replace(trials.scenarios[SCENARIO], num_objects=(1, 1), goal_m=cfg.goal_m)
-    perception, dynamics = find_weights((KEPT, TRAINED), (MODEL,))
+    perception, dynamics = find_weights((KEPT, DATASETS), (MODEL,))
     catalogue = find_catalogue()
     planner = make_planner(trials, Perceiver.load(perception), load_world_model(dynamics[MODEL]))
     rngs = [generator(cfg.seed, "demo", 0, stream) for stream in (TASKS, CAMERAS, PLANS)]
     task = draw_task(catalogue, trials.sim, scenario, rngs[TASKS])
     photographer = CameraSensor(catalogue, trials.sim, task.bodies)
-    with SlowWorld(catalogue, trials.sim, scenario.settle_ms, cfg.pictures_per_push) as world:
+    with SteppedPushWorld(catalogue, trials.sim, scenario.settle_ms, cfg.frames_per_push) as world:
         search = scenario.planners[PLANNER]
         outcome = run_trial(
             world, photographer, planner, task, scenario, search, (rngs[CAMERAS], rngs[PLANS])
         )
         write_video(
-            pictures(outcome, world.pushes, photographer, task, scenario, cfg),
+            video_frames(outcome, world.pushes, photographer, task, scenario, cfg),
             DEMO_FILE,
-            cfg.pictures_per_s,
+            cfg.fps,
         )
     start_mm, end_mm = outcome.initial_G.mean() * 1e3, outcome.final_G.mean() * 1e3
-    log.info(
-        "%s: %.0f mm from the goal at first, %.0f mm after %d pushes",
-        DEMO_FILE,
-        start_mm,
-        end_mm,
-        outcome.steps_used,
-    )
+    distances = f"{start_mm:.0f} mm from the goal at the start, {end_mm:.0f} mm"
+    log.info("%s: %s after %d pushes", DEMO_FILE, distances, outcome.steps_used)
 
 
-def find_catalogue() -> Catalogue:
-    """The study's meshes if they are there, else those made in a moment (plates and blocks, with
-    the same split).
-    """
-    if MESHES.exists():
-        return load_catalogue(MESHES)
-    if SPARE.exists():
-        return load_catalogue(SPARE)
-    return build_catalogue(
-        replace(load(PARAMS, "meshes", MeshesConfig), per_category=0, shapenet=None, folder=None),
-        SPARE,
-    )
-
-
-def pictures(
+def video_frames(
     outcome: TrialResult,
     pushes: Sequence[Sequence[Step]],
     photographer: CameraSensor,
@@ -107,10 +83,8 @@ def pictures(
     scenario: TrialScenario,
     cfg: DemoConfig,
 ) -> Iterator[NDArray[np.uint8]]:
-    """Left what the planner sees and imagines, right what happens, from the camera the planner had
-    at each step.
-    """
-    hold = round(cfg.hold_s * cfg.pictures_per_s)
+    """Left the planner's observation and forecast, right the execution, from the same camera."""
+    hold = round(cfg.hold_s * cfg.fps)
     done = iter(pushes)
     for moment in outcome.moments:
         before = _beside(moment, 0.0, moment.rgb_HW3, task, scenario, cfg)
@@ -121,7 +95,7 @@ def pictures(
         for state_i, state in enumerate(states):
             rgb_HW3 = photographer(state, moment.camera).frames.rgb_VHW3[0]
             yield _beside(
-                moment, min(1.0, state_i / cfg.pictures_per_push), rgb_HW3, task, scenario, cfg
+                moment, min(1.0, state_i / cfg.frames_per_push), rgb_HW3, task, scenario, cfg
             )
         yield from [_beside(moment, 1.0, rgb_HW3, task, scenario, cfg)] * hold
 
@@ -134,9 +108,9 @@ def _beside(
     scenario: TrialScenario,
     cfg: DemoConfig,
 ) -> NDArray[np.uint8]:
-    """Imagined (after ``share`` of the push) and real, side by side."""
+    """The forecast (after ``share`` of the push) and the execution, side by side."""
     imagined = observed_image(moment, task.goal_G3, scenario.success_m, cfg.zoom)
-    imagined.label("imagined" if moment.chosen else "seen")
+    imagined.label("forecast" if moment.chosen else "observed")
     if moment.chosen is not None:
         _draw_forecast(
             imagined, moment.chosen, moment.belief.center_N3, moment.belief.size_N3, share
@@ -144,14 +118,14 @@ def _beside(
     real = CameraOverlay(rgb_HW3, moment.camera, cfg.zoom)
     for goal in task.goal_G3:
         real.ring(goal * [1, 1, 0], scenario.success_m, GOAL)
-    real.label("real")
+    real.label("executed")
     return np.concatenate([imagined.pixels, real.pixels], axis=1)
 
 
 def _draw_forecast(
     picture: CameraOverlay, chosen: Plan, center_N3: Floats, size_N3: Floats, share: float
 ) -> None:
-    """The rod and the boxes part of the way to where the model puts them."""
+    """Draw the rod and the boxes after ``share`` of the push, interpolated linearly."""
     tip, action = chosen.tip_3.double().numpy(), chosen.actions_T3[0].double().numpy()
     picture.arrow(tip, action, PUSH)
     picture.line(np.stack([tip + share * action, tip + share * action + [0, 0, 0.15]]), PUSH)
@@ -161,37 +135,24 @@ def _draw_forecast(
         picture.box(start + share * (end - start), size, IMAGINED)
 
 
-class SlowWorld:
-    """As PushWorld, and it remembers the states during every push: ``pushes[i]`` are those of push
-    i, start to rest.
-    """
+class SteppedPushWorld:
+    """A PushWorld that records the states during every push: ``pushes[i]``, from start to rest."""
 
     def __init__(
         self, catalogue: Catalogue, sim: SimConfig, settle_ms: int, states_per_push: int
     ) -> None:
-        """Raises ValueError unless a timestep divides into so many states of whole physics
-        steps.
-        """
+        """Raises ValueError unless a timestep divides into states of whole physics steps."""
         timestep_ms = sim.physics.timestep_ms // states_per_push
         slow = replace(sim, physics=replace(sim.physics, timestep_ms=timestep_ms))
-        self._world, self._sim, self._settle_ms, self._parts = (
-            World(catalogue, slow),
-            sim,
-            settle_ms,
-            states_per_push,
-        )
+        self._world, self._sim = World(catalogue, slow), sim
+        self._settle_ms, self._parts = settle_ms, states_per_push
         self.pushes: list[list[Step]] = []
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._world.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._world.__exit__(*error)
 
     def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_xy_m: Floats) -> None:
         """Set the scene and let it settle."""

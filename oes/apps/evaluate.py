@@ -13,10 +13,10 @@ from pathlib import Path
 
 import torch
 
+from oes.apps.assets import DATASETS, KEPT, find_weights
 from oes.cli import run
 from oes.config import PARAMS, load, params
 from oes.csv_io import write_csv
-from oes.dynamics import MODELS
 from oes.dynamics.checkpoint import load_any_model as load_dynamics
 from oes.episodes.capture import capture_split
 from oes.evaluation.evaluate_forecasts import (
@@ -42,12 +42,10 @@ from oes.sim.simulate import EpisodesConfig, SplitConfig
 from oes.stage import publish, work_dir
 
 TASK, SPLIT = "pushing", "test2"
-TRAINED = Path("datasets")  # where the stages leave weights
-KEPT = Path("reports/models")  # those that git keeps
 
 
 class EvaluateError(ValueError):
-    """There is nothing to evaluate, or nothing to evaluate with."""
+    """No mesh, or no episode, to evaluate on."""
 
 
 @params
@@ -61,7 +59,7 @@ def main(cfg: EvaluateConfig, meshes: Path) -> None:
     """Ingest ``meshes``, capture, forecast, and write the table. Raises EvaluateError,
     CatalogueError.
     """
-    perception, dynamics = find_weights((TRAINED, KEPT), ())
+    perception, dynamics = find_weights((DATASETS, KEPT), ())
     out = Path("build") / f"evaluate-{meshes.resolve().name}"
     mesh_cfg, capture_cfg = (
         load(PARAMS, "meshes", MeshesConfig),
@@ -85,29 +83,6 @@ def main(cfg: EvaluateConfig, meshes: Path) -> None:
         )
         publish(work / "report", out)
         shutil.rmtree(work)
-
-
-def find_weights(
-    roots: Sequence[Path], needed: Sequence[str], task: str = TASK
-) -> tuple[Path, dict[str, Path]]:
-    """Perception's weights and each model's folder, from the first root that has perception's and
-    models.
-
-    Raises EvaluateError when no root has those, the ``needed`` models among them.
-    """
-    for root in roots:
-        perception = root / "perception" / "perception.safetensors"
-        folders = {word: root / "dynamics" / f"{task}-{word}" for word in MODELS}
-        dynamics = {
-            word: folder
-            for word, folder in folders.items()
-            if (folder / "model.safetensors").is_file()
-        }
-        if perception.is_file() and dynamics and dynamics.keys() >= set(needed):
-            return perception, dynamics
-    raise EvaluateError(
-        f"no trained weights in {' or '.join(map(str, roots))}: run `make all` first"
-    )
 
 
 def perceive(work: Path, perception: Path, cfg: ObjectsConfig) -> ObjectStore:

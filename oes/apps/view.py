@@ -1,5 +1,4 @@
-"""An episode in the browser: what was seen, what is forecast, what happened; objects and the push
-can be dragged.
+"""An episode in the browser, with the forecast of a model for the scene and for changes of it.
 
 ``python -m oes.apps.view --episode FOLDER`` serves it until ctrl-C (`make view`).
 """
@@ -7,11 +6,11 @@ can be dragged.
 import logging
 import threading
 from pathlib import Path
+from typing import Annotated
 
 import viser
 
-from oes.apps.demo import find_catalogue
-from oes.apps.evaluate import KEPT, TRAINED, find_weights
+from oes.apps.assets import DATASETS, KEPT, find_catalogue, find_weights
 from oes.apps.viewer.session import VIEWER_MODEL, Session
 from oes.apps.viewer.viewer import Viewer
 from oes.cli import run
@@ -26,25 +25,25 @@ from oes.sim.simulate import EpisodesConfig
 
 log = logging.getLogger(__name__)
 
-SPARE = Path(".work/view/traj_000000")
+RECORDED = Path(".work/view/traj_000000")
 
 
 @params
 class ViewConfig:
-    """The section ``view``: the port where it is served, and the camera of the first photograph."""
+    """The section ``view``: the port, and the index of the camera of the input image."""
 
     port: int
     camera: int
 
 
-def main(cfg: ViewConfig, episode: Path) -> None:
-    """Serve ``episode``; where it is ``SPARE`` and not there yet, it is recorded first.
+def main(cfg: ViewConfig, episode: Annotated[Path, "folder of an episode"]) -> None:
+    """Serve ``episode``; ``RECORDED`` is recorded first if it does not exist.
 
-    Raises EvaluateError without weights, EpisodeError for an episode that cannot be read.
+    Raises WeightsMissing, and EpisodeError for an episode that cannot be read.
     """
     episodes_cfg, catalogue = load(PARAMS, "episodes", EpisodesConfig), find_catalogue()
-    if episode == SPARE:
-        record_spare(catalogue, episodes_cfg)
+    if episode == RECORDED:
+        record_episode(catalogue, episodes_cfg)
     session = open_session(episode, cfg.camera)
     server = viser.ViserServer(port=cfg.port, label="3D-OES", verbose=False)
     Viewer(server, session, catalogue, episodes_cfg.sim)
@@ -52,21 +51,21 @@ def main(cfg: ViewConfig, episode: Path) -> None:
     threading.Event().wait()
 
 
-def record_spare(catalogue: Catalogue, cfg: EpisodesConfig) -> None:
-    """An episode of two objects in ``SPARE``, unless one is there."""
-    if not SPARE.exists():
-        SPARE.parent.mkdir(parents=True, exist_ok=True)
-        capture(catalogue, cfg, PUSHING, "test2", 0, SPARE)
+def record_episode(catalogue: Catalogue, cfg: EpisodesConfig) -> None:
+    """Record an episode of two objects as ``RECORDED``, unless it exists."""
+    if not RECORDED.exists():
+        RECORDED.parent.mkdir(parents=True, exist_ok=True)
+        capture(catalogue, cfg, PUSHING, "test2", 0, RECORDED)
 
 
 def open_session(folder: Path, camera_i: int) -> Session:
-    """The episode in ``folder``, with the trained weights, or those in git."""
+    """The episode in ``folder`` with the trained weights of the study, or of git."""
     source = FrameSource(folder)
     if not source.episodes:
         raise FileNotFoundError(
-            f"{folder}: no episode is there; one is a folder datasets/episodes/<split>/traj_<number>"
+            f"{folder}: no episode; expected datasets/episodes/<task>-<split>/traj_<number>"
         )
-    perception, dynamics = find_weights((TRAINED, KEPT), (VIEWER_MODEL,), source.episodes[0].task)
+    perception, dynamics = find_weights((DATASETS, KEPT), (VIEWER_MODEL,), source.episodes[0].task)
     return Session(Perceiver.load(perception), load_model(dynamics[VIEWER_MODEL]), source, camera_i)
 
 

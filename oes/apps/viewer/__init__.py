@@ -1,1 +1,1 @@
-"""An episode to look at and to play with in the browser."""
+"""The browser viewer: state in ``session``, controls in ``panel``, the 3D scene in ``viewer``."""

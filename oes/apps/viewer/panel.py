@@ -1,4 +1,4 @@
-"""The controls beside a session's scene in the browser."""
+"""Controls beside the 3D scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,29 +6,28 @@ from dataclasses import dataclass
 import numpy as np
 import viser
 
-HELP = """Drag the handles: objects, where the rod starts, where it goes. The forecast (orange) follows.
-Blue: seen in the first photograph. Green: what happened, or would (simulate)."""
+HELP = """Drag the handles: one per object, one at the start and one at the end of the push. The
+forecast (orange) follows. Blue: boxes perceived in the input image. Green: recorded or simulated
+motion. The rendered forecast does not move the arm: it belongs to the background of the input."""
 VIEWER_LAYERS = {
-    "photograph": "first photograph",
+    "input": "input image",
     "map": "feature map",
-    "seen": "objects seen",
+    "perceived": "perceived boxes",
     "forecast": "forecast",
-    "truth": "what happened",
+    "truth": "recorded or simulated motion",
 }
-HIDDEN = ("photograph", "map")  # at first
+HIDDEN = ("input", "map")  # until the user shows them
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Time, camera, the two pictures, what is told of the forecast, and which layers of the scene
-    are shown.
-    """
+    """Controls of time and camera, the rendered and recorded images, status, and scene layers."""
 
     T: viser.GuiSliderHandle[int]
     play: viser.GuiCheckboxHandle
     camera: viser.GuiDropdownHandle[str]
-    imagined: viser.GuiImageHandle
-    photograph: viser.GuiImageHandle
+    rendered: viser.GuiImageHandle
+    recorded: viser.GuiImageHandle
     status: viser.GuiMarkdownHandle
     simulate: viser.GuiButtonHandle
     restore: viser.GuiButtonHandle
@@ -36,7 +35,7 @@ class Panel:
 
 
 def make_panel(gui: viser.GuiApi, cameras: Sequence[str], camera_i: int, num_steps: int) -> Panel:
-    """The controls of an episode of so many steps; nothing happens yet when they are used."""
+    """The controls of an episode of ``num_steps`` steps, without their callbacks."""
     gui.configure_theme(control_width="large", show_share_button=False)
     gui.main_panel.dock_right()
     gui.add_markdown(HELP)
@@ -44,15 +43,15 @@ def make_panel(gui: viser.GuiApi, cameras: Sequence[str], camera_i: int, num_ste
     T = gui.add_slider("T (steps)", 0, num_steps, 1, num_steps, marks=tuple(range(num_steps + 1)))
     play = gui.add_checkbox("play", False)
     camera = gui.add_dropdown("camera", cameras, initial_value=cameras[camera_i])
-    imagined, photograph = (
-        gui.add_image(blank, label="imagined"),
-        gui.add_image(blank, label="photograph at T"),
+    rendered, recorded = (
+        gui.add_image(blank, label="rendered forecast"),
+        gui.add_image(blank, label="recorded image at T"),
     )
     status = gui.add_markdown("")
-    simulate, restore = gui.add_button("simulate this change"), gui.add_button("as it was")
+    simulate, restore = gui.add_button("simulate this change"), gui.add_button("reset")
     with gui.add_folder("show"):
         layers = {
             name: gui.add_checkbox(label, name not in HIDDEN)
             for name, label in VIEWER_LAYERS.items()
         }
-    return Panel(T, play, camera, imagined, photograph, status, simulate, restore, layers)
+    return Panel(T, play, camera, rendered, recorded, status, simulate, restore, layers)

@@ -1,6 +1,4 @@
-"""One episode's first photograph to play with: objects and the push are moved, and the forecast
-follows.
-"""
+"""State of the viewer: one perceived episode, the user's changes of it, and the forecast."""
 
 from dataclasses import dataclass, field
 
@@ -28,16 +26,14 @@ from oes.sim.simulate import replay_bodies
 from oes.sim.world import SimConfig
 from oes.viz.overlay import Pixels
 
-PointsRGB = tuple[NDArray[np.float32], NDArray[np.uint8]]  # places P3 and colours P3
+PointsRGB = tuple[NDArray[np.float32], NDArray[np.uint8]]  # positions P3 (m), colours P3
 VIEWER_MODEL = "oes"
-MIN_OCCUPANCY = 0.5  # a voxel whose mask or opacity is above is shown
+MIN_OCCUPANCY = 0.5  # of the voxels that are shown, as mask or as opacity
 
 
 @dataclass
 class Change:
-    """How far each perceived object stands from where it was, N3, and the rod starts from there;
-    the push's turn.
-    """
+    """The user's changes: shifts of objects N3 and of the push's start 3 (m), turn of the push."""
 
     shift_N3: Floats
     start_3: Floats = field(default_factory=lambda: np.zeros(3))
@@ -45,7 +41,7 @@ class Change:
 
 
 class Session:
-    """An episode seen by one camera at first; ``change`` may be altered at any time."""
+    """An episode perceived from one camera; ``change`` may be altered at any time."""
 
     def __init__(
         self, perceiver: Perceiver, model: DynamicsModel, source: FrameSource, camera_i: int
@@ -56,35 +52,35 @@ class Session:
         self.change = self.unchanged()
 
     def unchanged(self) -> Change:
-        """The scene as it was."""
+        """A change of nothing."""
         return Change(np.zeros((len(self.first.scene.truth), 3)))
 
     @property
     def case(self) -> Scenario:
-        """The scene as it is changed now."""
+        """The scenario with the current change."""
         case = restart_scene(redirect_push(self.first, self.change.turn_rad), self.change.start_3)
         for i, shift_3 in enumerate(self.change.shift_N3):
             case = move_object(case, i, shift_3)
         return case
 
     def forecast(self) -> tuple[Scenario, ObjectMotion]:
-        """What the model forecasts of the scene as it is now."""
+        """The model's forecast of the changed scenario."""
         case = self.case
         return case, forecast_motions(case, {VIEWER_MODEL: self.model})[VIEWER_MODEL]
 
     def simulated(self, catalogue: Catalogue, sim: SimConfig) -> Episode:
-        """What Bullet does from the same change."""
+        """Bullet's simulation of the changed scenario."""
         episode = self.case.episode
         return replay_bodies(catalogue, sim, episode, episode.bodies)
 
-    def imagined(self, case: Scenario, motion: ObjectMotion, T: int, camera: Camera) -> Pixels:
-        """The forecast at T as a camera would see it."""
+    def render(self, case: Scenario, motion: ObjectMotion, T: int, camera: Camera) -> Pixels:
+        """The forecast at T, rendered for a camera."""
         near = compose(self.still, motion.poses(case.poses, T))
-        picture: Pixels = self.perceiver.look(near, self.still.backdrop, [camera]).rgb_VHW3[0]
-        return picture
+        image: Pixels = self.perceiver.look(near, self.still.backdrop, [camera]).rgb_VHW3[0]
+        return image
 
     def error_mm(self, case: Scenario, motion: ObjectMotion, happened: Episode, T: int) -> float:
-        """Mean distance of the matched objects from where they are at T (NaN: none was matched)."""
+        """Mean translation error at T over the objects matched to true ones; NaN without any."""
         known = [i for i, true_i in enumerate(case.scene.truth) if true_i >= 0]
         if T == 0 or not known:
             return 0.0 if known else float("nan")
@@ -92,13 +88,11 @@ class Session:
         return float(apart[known].norm(dim=-1).mean() * 1e3)
 
     def object_points(self, i: int) -> PointsRGB:
-        """The voxels of a perceived object about its centre, in the colours that the first
-        photograph has there.
-        """
+        """The voxels of a perceived object about its centre, coloured from the input image."""
         points_P3 = centers(self.still.window)[
             self.first.scene.objects.crop_NCXYZ[i, 0] > MIN_OCCUPANCY
         ]
-        frames, camera = self.photograph(0, self.camera_i)
+        frames, camera = self.recorded(0, self.camera_i)
         places_P3 = (points_P3 + self.still.center_N3[i]).double().numpy()
         pix_P2, _ = project(camera.K_33, camera.world_T_cam_44, places_P3)
         column_P, row_P = np.clip(
@@ -107,9 +101,7 @@ class Session:
         return points_P3.numpy().astype(np.float32), frames.rgb_VHW3[0][row_P, column_P]
 
     def map_points(self) -> PointsRGB:
-        """The opaque voxels of the scene map; colours are the first three principal components of
-        their features.
-        """
+        """The opaque voxels of the feature map; colours are its three principal components."""
         shown = visible(Field(self.still.map[None], self.still.grid))[0] > MIN_OCCUPANCY
         features_P7 = self.still.map[1:, shown].T
         centred = features_P7 - features_P7.mean(0)
@@ -120,14 +112,14 @@ class Session:
             rgb_P3 * 255
         ).byte().numpy()
 
-    def photograph(self, T: int, camera_i: int) -> tuple[Frames, Camera]:
-        """What a camera of the episode saw."""
+    def recorded(self, T: int, camera_i: int) -> tuple[Frames, Camera]:
+        """The recorded image of a camera at T."""
         frames, (camera,) = self.source.read(0, T, [camera_i])
         return frames, camera
 
-    def photograph_points(self) -> PointsRGB:
-        """The first photograph as a cloud of points."""
-        frames, camera = self.photograph(0, self.camera_i)
+    def input_points(self) -> PointsRGB:
+        """The point cloud of the input image."""
+        frames, camera = self.recorded(0, self.camera_i)
         depth = torch.from_numpy(frames.depth_m_VHW[0])
         K_33, pose_44 = (torch.from_numpy(x).float() for x in (camera.K_33, camera.world_T_cam_44))
         hit = depth > 0

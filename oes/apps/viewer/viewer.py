@@ -1,6 +1,4 @@
-"""A session in the browser, through viser: the scene in 3D, the imagined picture, handles on
-objects and the push.
-"""
+"""The 3D scene of a session in the browser (viser), with handles on the objects and the push."""
 
 import threading
 import time
@@ -27,8 +25,8 @@ GREY = (120, 120, 120)
 
 
 class Viewer:
-    """Shows a session. Whatever is dragged or chosen wakes one thread, which forecasts and draws
-    what is newest.
+    """Draws a session. Every interaction wakes one thread, which forecasts and draws the newest
+    state, so that a slow forecast never queues up drags.
     """
 
     def __init__(
@@ -36,21 +34,21 @@ class Viewer:
     ) -> None:
         self.server, self.session, self.catalogue, self.sim = server, session, catalogue, sim
         self.cameras = [camera.name for camera in session.first.episode.steps[0].cameras]
-        self.happened: Episode | None = session.first.episode
-        self.reaction_s = float("nan")
-        self._asked_s = time.perf_counter()
+        self.truth: Episode | None = session.first.episode
+        self.latency_s = float("nan")
+        self._requested_s = time.perf_counter()
         self._wake = threading.Event()
         self.panel = self._build_panel()
         self._build_scene()
         self._place_handles()
         self.update()
-        threading.Thread(target=self._follow, daemon=True).start()
+        threading.Thread(target=self._redraw_loop, daemon=True).start()
 
     def _build_panel(self) -> Panel:
         num_steps = len(self.session.first.episode.actions_T3)
         panel = make_panel(self.server.gui, self.cameras, self.session.camera_i, num_steps)
-        panel.T.on_update(lambda _: self.ask())
-        panel.camera.on_update(lambda _: self.ask())
+        panel.T.on_update(lambda _: self.redraw())
+        panel.camera.on_update(lambda _: self.redraw())
         panel.simulate.on_click(lambda _: self.simulate())
         panel.restore.on_click(lambda _: self.restore())
         for name, box in panel.layers.items():
@@ -70,15 +68,13 @@ class Viewer:
             (0.0, 0.0, 0.0),
         )
         scene.add_box("/table", (196, 174, 145), (0.6, 0.6, 0.02), position=(0, 0, -0.01))
-        scene.add_point_cloud(
-            "/photograph/points", *session.photograph_points(), point_size=POINT_M / 2
-        )
+        scene.add_point_cloud("/input/points", *session.input_points(), point_size=POINT_M / 2)
         scene.add_point_cloud("/map/points", *session.map_points(), point_size=POINT_M)
         self.moving, objects = [], session.first.scene.objects
         for i, (center, size) in enumerate(
             zip(objects.center_N3.numpy(), objects.size_N3.numpy(), strict=True)
         ):
-            self._wire(f"/seen/{i}", size, SEEN, center)
+            self._wire(f"/perceived/{i}", size, SEEN, center)
             self.moving.append(scene.add_frame(f"/forecast/{i}", show_axes=False, position=center))
             scene.add_point_cloud(
                 f"/forecast/{i}/points", *session.object_points(i), point_size=POINT_M
@@ -112,7 +108,7 @@ class Viewer:
         return self.server.scene.add_box(name, colour, size_3, wireframe=True, position=place_3)
 
     def _place_handles(self) -> None:
-        """Handles where everything stood at first."""
+        """Put the handles at the recorded positions."""
         for i, center_3 in enumerate(self.session.first.scene.objects.center_N3.numpy()):
             handle = self._handle(f"/handles/{i}", center_3)
             handle.on_update(lambda event, i=i: self._drag(i, np.asarray(event.target.position)))  # type: ignore[misc]
@@ -154,31 +150,31 @@ class Viewer:
         self._changed()
 
     def _changed(self) -> None:
-        self.happened = None
-        self.ask()
+        self.truth = None
+        self.redraw()
 
-    def ask(self) -> None:
-        """Have everything drawn anew, soon."""
+    def redraw(self) -> None:
+        """Request a redraw."""
         if not self._wake.is_set():
-            self._asked_s = time.perf_counter()
+            self._requested_s = time.perf_counter()
         self._wake.set()
 
     def simulate(self) -> None:
-        """Ask Bullet what would happen; where the arm cannot reach, that is told."""
+        """Simulate the change with Bullet; an error of the arm goes to the status line."""
         try:
-            self.happened = self.session.simulated(self.catalogue, self.sim)
-            self.ask()
+            self.truth = self.session.simulated(self.catalogue, self.sim)
+            self.redraw()
         except (ReachError, BulletError) as error:
-            self.panel.status.content = f"The simulator cannot do that: {error}"
+            self.panel.status.content = f"The simulation failed: {error}"
 
     def restore(self) -> None:
-        """The scene and the push as they were."""
+        """Undo all changes."""
         self.session.change = self.session.unchanged()
         self._place_handles()
-        self.happened = self.session.first.episode
-        self.ask()
+        self.truth = self.session.first.episode
+        self.redraw()
 
-    def _follow(self) -> None:
+    def _redraw_loop(self) -> None:
         while True:
             if self._wake.wait(PLAY_S if self.panel.play.value else None):
                 self._wake.clear()
@@ -188,27 +184,27 @@ class Viewer:
                 self.panel.T.value = (self.panel.T.value + 1) % num_states  # type: ignore[misc]
 
     def update(self) -> None:
-        """Forecast, then draw the state at the chosen time."""
+        """Forecast, then draw the state at the selected time."""
         case, motion = self.session.forecast()
         T, panel = self.panel.T.value, self.panel
         self._draw_forecast(case, motion, T)
         self._draw_truth(T)
         camera_i = self.cameras.index(panel.camera.value)
         camera = case.episode.steps[T].cameras[camera_i]
-        panel.imagined.image = _enlarged(self.session.imagined(case, motion, T, camera))
-        if self.happened is self.session.first.episode:
-            panel.photograph.image = _enlarged(self.session.photograph(T, camera_i)[0].rgb_VHW3[0])
-        panel.photograph.visible = self.happened is self.session.first.episode
-        self.reaction_s = time.perf_counter() - self._asked_s
+        panel.rendered.image = _enlarged(self.session.render(case, motion, T, camera))
+        if self.truth is self.session.first.episode:
+            panel.recorded.image = _enlarged(self.session.recorded(T, camera_i)[0].rgb_VHW3[0])
+        panel.recorded.visible = self.truth is self.session.first.episode
+        self.latency_s = time.perf_counter() - self._requested_s
         panel.status.content = self._status(case, motion, T)
 
     def _status(self, case: Scenario, motion: ObjectMotion, T: int) -> str:
         error = (
             "not simulated yet"
-            if self.happened is None
-            else f"{self.session.error_mm(case, motion, self.happened, T):.0f} mm from what happened"
+            if self.truth is None
+            else f"{self.session.error_mm(case, motion, self.truth, T):.0f} mm error"
         )
-        return f"Forecast at T = {T}: {error}. Last reaction: {self.reaction_s * 1e3:.0f} ms."
+        return f"Forecast at T = {T}: {error}. Latency: {self.latency_s * 1e3:.0f} ms."
 
     def _draw_forecast(self, case: Scenario, motion: ObjectMotion, T: int) -> None:
         poses = motion.poses(case.poses, T)
@@ -228,11 +224,11 @@ class Viewer:
     def _draw_truth(self, T: int) -> None:
         with self.server.atomic():
             for i, box in enumerate(self.true):
-                box.visible = self.happened is not None
-                if self.happened is not None:
+                box.visible = self.truth is not None
+                if self.truth is not None:
                     box.position, box.dimensions = (
-                        self.happened.steps[T].center_N3[i],
-                        self.happened.steps[T].size_N3[i],
+                        self.truth.steps[T].center_N3[i],
+                        self.truth.steps[T].size_N3[i],
                     )
 
     def _show(self, name: str, is_shown: bool) -> None:
