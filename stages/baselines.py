@@ -1,6 +1,4 @@
-"""baselines: a baseline that forecasts pictures, trained on the frames of the training episodes and
-tried on others'.
-"""
+"""baselines: a video-prediction model trained on overhead clips and evaluated on held-out ones."""
 
 import shutil
 from pathlib import Path
@@ -22,14 +20,14 @@ def main(cfg: BaselinesConfig, model: str, overhead: Path, out: Path) -> None:
         progress = work / "progress"
         progress.mkdir(exist_ok=True)
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        clips, view = read_clips(overhead / "pushing-train" / "frames.safetensors")
+        clips, view = read_clips(overhead / "pushing-train")
         net, log = train_baseline(cfg, model, clips, progress, device)
-        unseen, _ = read_clips(overhead / "pushing-test2" / "frames.safetensors")
-        rows, picture = forecast_rows(net.cpu().eval(), unseen, view)
+        held_out, _ = read_clips(overhead / "pushing-test2")
+        rows, image = forecast_rows(net.cpu().eval(), held_out, view.half_m)
         save_baseline(work, net, view)
         write_csv(work / "log.csv", log, columns_of(log))
         write_csv(work / "forecasts.csv", rows, list(rows[0]))
-        cv2.imwrite(str(work / "forecasts.png"), picture[..., ::-1])
+        cv2.imwrite(str(work / "forecasts.png"), image[..., ::-1])
         shutil.rmtree(progress)
         publish(work, out)
 

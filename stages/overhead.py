@@ -1,6 +1,4 @@
-"""overhead: images of every state of the pushing episodes from a fixed camera above the table, without
-the arm.
-"""
+"""overhead: images of every state of the pushing episodes from a fixed camera above the table."""
 
 from pathlib import Path
 
@@ -13,10 +11,10 @@ from oes.stage import publish, work_dir
 
 
 def main(cfg: OverheadConfig, split: str, meshes: Path, episodes: Path, out: Path) -> None:
-    """Write ``frames.safetensors`` to ``out``."""
+    """Write ``clips.safetensors`` to ``out``."""
     with work_dir(out, (cfg, split, [meshes, episodes])) as work:
         clips = make_clips(read_states(episodes), load_catalogue(meshes), cfg)
-        write_clips(clips, cfg.view, work / "frames.safetensors")
+        write_clips(clips, cfg.view, work)
         publish(work, out)
 
 

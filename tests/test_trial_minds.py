@@ -40,7 +40,7 @@ def _belief() -> StateEstimate:
 
 
 def test_visual_foresight_that_moves_nothing_leaves_objects_where_they_are() -> None:
-    net = VisualForesight(ForesightConfig(channels=(8, 8), flows=2)).eval()
+    net = VisualForesight(ForesightConfig(channels=(8, 8), num_flows=2)).eval()
     torch.nn.init.zeros_(net.out.weight)
     torch.nn.init.zeros_(net.out.bias)
     imagined = ForesightWorldModel(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
@@ -55,7 +55,7 @@ def test_visual_foresight_that_moves_nothing_leaves_objects_where_they_are() -> 
 
 def test_visual_foresight_that_carries_pixels_along_carries_objects() -> None:
     """Everything moves by one pixel to the right in each step: 1 cm."""
-    net = VisualForesight(ForesightConfig(channels=(8, 8), flows=1)).eval()
+    net = VisualForesight(ForesightConfig(channels=(8, 8), num_flows=1)).eval()
     torch.nn.init.zeros_(net.out.weight)
     net.out.bias.data[:] = torch.tensor([float(np.arctanh(-2 / 64 / 0.3)), 0.0, 20.0, 0.0, 0.0])
     imagined = ForesightWorldModel(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
@@ -65,7 +65,7 @@ def test_visual_foresight_that_carries_pixels_along_carries_objects() -> None:
 
 def test_planet_costs_what_it_is_not_rewarded_and_moves_nothing() -> None:
     torch.manual_seed(0)
-    net = PlaNet(PlanetConfig(base=4, recurrent=16, stochastic=4, hidden=16, goals=2)).eval()
+    net = PlaNet(PlanetConfig(base_channels=4, recurrent_dim=16, stochastic_dim=4, hidden_dim=16, max_goals=2)).eval()
     mind = PlanetWorldModel(net, VIEW)
     imagined = mind.imagine(_belief(), GOALS, PROPOSALS)
     assert (
@@ -74,8 +74,8 @@ def test_planet_costs_what_it_is_not_rewarded_and_moves_nothing() -> None:
         and torch.isfinite(imagined.cost_ST).all()
     )
     assert torch.equal(imagined.position_STN3[1, 2], torch.from_numpy(CENTERS).float())
-    torch.nn.init.zeros_(net.reward[-1].weight)
-    net.reward[-1].bias.data[:] = -0.5
+    torch.nn.init.zeros_(net.reward_head[-1].weight)
+    net.reward_head[-1].bias.data[:] = -0.5
     assert (mind.imagine(_belief(), GOALS, PROPOSALS).cost_ST == 0.5 * VIEW.half_m).all()
 
 
@@ -84,7 +84,7 @@ def test_planet_hears_of_goals_from_left_to_right() -> None:
     nothing.
     """
     torch.manual_seed(0)
-    net = PlaNet(PlanetConfig(base=4, recurrent=16, stochastic=4, hidden=16, goals=2)).eval()
+    net = PlaNet(PlanetConfig(base_channels=4, recurrent_dim=16, stochastic_dim=4, hidden_dim=16, max_goals=2)).eval()
     mind, belief = PlanetWorldModel(net, VIEW), _belief()
     swapped = StateEstimate(
         belief.objects, CENTERS[::-1].copy(), belief.size_N3, belief.is_seen_N, belief.overhead_HW3

@@ -1,5 +1,7 @@
-"""Baselines that forecast pictures: Visual Foresight and PlaNet, from a fixed camera above the
-table (C.2, C.3).
+"""Video-prediction baselines: Visual Foresight and PlaNet on overhead images (C.2, C.3).
+
+Imports geom, render, sim and training; never dynamics, perception or mpc. Start with
+``overhead_camera``, then one of ``visual_foresight`` and ``planet``.
 """
 
 from torch import nn

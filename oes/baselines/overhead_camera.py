@@ -1,4 +1,7 @@
-"""The camera above the table: where things are in its pictures."""
+"""Geometry of the fixed camera above the table.
+
+Normalised image coordinates (``ndc``) run from -1 to 1 over the square image, x right, y down.
+"""
 
 import numpy as np
 
@@ -7,15 +10,15 @@ from oes.episode import Camera, Floats
 from oes.geom.camera import intrinsics, project
 from oes.geom.se3 import rigid
 
-DOWNWARD = np.array(
-    [[1.0, 0, 0], [0, -1, 0], [0, 0, -1]]
-)  # camera axes (right, down, forward) in the world
+# Columns are the camera axes (right, down, forward) in the world.
+DOWNWARD = np.diag([1.0, -1.0, -1.0])
 
 
 @params
 class OverheadView:
-    """Square pictures of side ``side_px`` from ``height_m`` above the table's centre; at its height
-    they show ``half_m`` to each side.
+    """Square images of side ``side_px`` from ``height_m`` above the table's centre.
+
+    At table height they cover ``half_m`` to each side.
     """
 
     side_px: int
@@ -23,29 +26,22 @@ class OverheadView:
     half_m: float
 
 
-class Overhead:
-    """Looks straight down. Pixel coordinates here run from -1 to 1 over the picture, x to the
-    right, y downward.
-    """
+class OverheadCamera:
+    """The camera of an ``OverheadView``, with world z up and the image plane horizontal."""
 
     def __init__(self, cfg: OverheadView) -> None:
         self.cfg = cfg
         fov_deg = float(np.degrees(2 * np.arctan2(cfg.half_m, cfg.height_m)))
         pose = rigid(DOWNWARD, np.array([0.0, 0.0, cfg.height_m]))
-        self.camera = Camera(
-            "overhead",
-            intrinsics(fov_deg, cfg.side_px, cfg.side_px),
-            pose,
-            cfg.side_px,
-            cfg.side_px,
-        )
+        side = cfg.side_px
+        self.camera = Camera("overhead", intrinsics(fov_deg, side, side), pose, side, side)
 
-    def place(self, world: Floats) -> Floats:
-        """Where points (..., 3) appear: (..., 2)."""
+    def project(self, world: Floats) -> Floats:
+        """Normalised image coordinates (..., 2) of world points (..., 3)."""
         pixels, _ = project(self.camera.K_33, self.camera.world_T_cam_44, world)
         return np.asarray(pixels / self.cfg.side_px * 2 - 1)
 
-    def ground(self, place: Floats, height_m: Floats) -> Floats:
-        """Where in the world (x, y) something at a height appears at ``place`` (..., 2)."""
-        per_unit = self.cfg.half_m * (self.cfg.height_m - height_m) / self.cfg.height_m
-        return np.asarray(place * per_unit[..., None] * [1, -1])
+    def unproject(self, ndc: Floats, height_m: Floats) -> Floats:
+        """World x and y (..., 2) of points at known heights (...)."""
+        scale = self.cfg.half_m * (self.cfg.height_m - height_m) / self.cfg.height_m
+        return np.asarray(ndc * scale[..., None] * [1, -1])

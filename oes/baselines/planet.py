@@ -1,11 +1,10 @@
-"""PlaNet at small size: a recurrent state-space model of pictures and rewards (Hafner et al. 2019;
-appendix C.2).
+"""PlaNet at small size: a recurrent state-space model of images and rewards (Hafner et al. 2019).
 
-As C.2 asks, the goals join the first fully connected layer after the picture's encoder, and the
-reward of a state is minus its distance to the goals. Deviations: that layer is added (the original
-has none), the reward head sees the goals too, the action says where the rod starts (pushes start
-anywhere), and what differs from the mean picture weighs more in the loss, as objects cover a
-hundredth of the picture.
+As appendix C.2 asks, the goals join the first fully connected layer after the image encoder, and
+the reward is minus the distance to the goals. Deviations: that layer is added (the original has
+none); the reward head sees the goals too; the action contains the rod's start, since pushes start
+anywhere; the image loss weights pixels that differ from the mean image, since objects cover 1% of
+the image.
 """
 
 import itertools
@@ -14,75 +13,62 @@ from dataclasses import dataclass
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.distributions import Normal
 
 from oes.config import params
 
-ACTION_DIM = 4  # the rod's place and its displacement
+ACTION_DIM = 4  # position and displacement of the rod
 MIN_STD = 0.1
 
 
 @params
 class PlanetConfig:
-    """``base``: channels of the first convolution, doubled by each of the four; sizes of the
-    recurrent and the random part of the state, and of all fully connected layers; how many objects
-    can have a goal.
+    """``base_channels``: of the first convolution; each of the four doubles them.
+
+    ``hidden_dim``: width of every fully connected layer.
     """
 
-    base: int
-    recurrent: int
-    stochastic: int
-    hidden: int
-    goals: int
-
-
-@dataclass(frozen=True)
-class Gaussian:
-    """Mean and standard deviation, BZ."""
-
-    mean: Tensor
-    std: Tensor
-
-    def sample(self) -> Tensor:
-        return self.mean + self.std * torch.randn_like(self.std)
-
-    def kl(self, other: "Gaussian") -> Tensor:
-        """To ``other``, summed over the dimensions: B."""
-        ratio = (self.std / other.std) ** 2
-        return 0.5 * (ratio + ((self.mean - other.mean) / other.std) ** 2 - 1 - ratio.log()).sum(-1)
+    base_channels: int
+    recurrent_dim: int
+    stochastic_dim: int
+    hidden_dim: int
+    max_goals: int
 
 
 @dataclass(frozen=True)
 class LatentState:
-    """The recurrent part BR and the random part BZ."""
+    """The deterministic and the stochastic part of a state."""
 
-    recurrent: Tensor
-    random: Tensor
+    recurrent_BC: Tensor
+    stochastic_BC: Tensor
 
     def features(self) -> Tensor:
-        return torch.cat([self.recurrent, self.random], -1)
+        """Input of the decoder and of the reward head, BC."""
+        return torch.cat([self.recurrent_BC, self.stochastic_BC], -1)
 
 
 class PlaNet(nn.Module):
-    """Prior, posterior, picture and reward. Goals BGC: two coordinates of ``Overhead`` and whether
-    there is one.
+    """Recurrent state-space model.
+
+    Goals are BG3: x, y (normalised image coordinates) and 1 for a goal that exists, else 0.
     """
 
     def __init__(self, cfg: PlanetConfig) -> None:
         super().__init__()
         self.cfg = cfg
-        base, hidden, goals = cfg.base, cfg.hidden, 3 * cfg.goals
+        base, hidden, goals = cfg.base_channels, cfg.hidden_dim, 3 * cfg.max_goals
+        stochastic, recurrent = cfg.stochastic_dim, cfg.recurrent_dim
         widths = (3, base, 2 * base, 4 * base, 8 * base)
         convs = [
             nn.Sequential(nn.Conv2d(i, o, 4, 2), nn.ReLU()) for i, o in itertools.pairwise(widths)
         ]
         self.encoder = nn.Sequential(*convs, nn.Flatten())
-        self.first = nn.Linear(32 * base, hidden)
-        self.into = nn.Linear(cfg.stochastic + ACTION_DIM, hidden)
-        self.gru = nn.GRUCell(hidden, cfg.recurrent)
-        self.prior = _mlp(cfg.recurrent, hidden, 2 * cfg.stochastic)
-        self.posterior = _mlp(cfg.recurrent + hidden + goals, hidden, 2 * cfg.stochastic)
-        features = cfg.recurrent + cfg.stochastic
-        self.widen = nn.Linear(features, 32 * base)
+        self.embedding = nn.Linear(32 * base, hidden)
+        self.gru_input = nn.Linear(stochastic + ACTION_DIM, hidden)
+        self.gru = nn.GRUCell(hidden, recurrent)
+        self.prior_head = _mlp(recurrent, hidden, 2 * stochastic)
+        self.posterior_head = _mlp(recurrent + hidden + goals, hidden, 2 * stochastic)
+        self.decoder_input = nn.Linear(recurrent + stochastic, 32 * base)
         self.decoder = nn.Sequential(
             nn.ConvTranspose2d(32 * base, 4 * base, 5, 2),
             nn.ReLU(),
@@ -92,41 +78,38 @@ class PlaNet(nn.Module):
             nn.ReLU(),
             nn.ConvTranspose2d(base, 3, 6, 2),
         )
-        self.reward = _mlp(features + goals, hidden, 1)
+        self.reward_head = _mlp(recurrent + stochastic + goals, hidden, 1)
 
     def encode(self, frame_B3HW: Tensor) -> Tensor:
-        """The first fully connected layer after the convolutions: BC."""
-        return F.relu(self.first(self.encoder(frame_B3HW - 0.5)))
+        """Image embedding BC."""
+        return F.relu(self.embedding(self.encoder(frame_B3HW - 0.5)))
 
-    def begin(self, batch: int, like: Tensor) -> LatentState:
-        """The state before anything was seen: zeros."""
-        return LatentState(
-            like.new_zeros(batch, self.cfg.recurrent), like.new_zeros(batch, self.cfg.stochastic)
-        )
+    def initial(self, batch: int, like: Tensor) -> LatentState:
+        """The zero state before the first image."""
+        sizes = (self.cfg.recurrent_dim, self.cfg.stochastic_dim)
+        return LatentState(*(like.new_zeros(batch, size) for size in sizes))
 
-    def imagine(self, state: LatentState, action_BA: Tensor) -> tuple[Tensor, Gaussian]:
-        """The recurrent part after an action, and what the random part may then be."""
-        hidden = F.relu(self.into(torch.cat([state.random, action_BA], -1)))
-        recurrent = self.gru(hidden, state.recurrent)
-        return recurrent, _gaussian(self.prior(recurrent))
+    def prior(self, state: LatentState, action_B4: Tensor) -> tuple[Tensor, Normal]:
+        """The recurrent part after an action, and the prior of the stochastic part."""
+        hidden = F.relu(self.gru_input(torch.cat([state.stochastic_BC, action_B4], -1)))
+        recurrent_BC = self.gru(hidden, state.recurrent_BC)
+        return recurrent_BC, _normal(self.prior_head(recurrent_BC))
 
-    def look(self, recurrent_BR: Tensor, seen_BC: Tensor, goal_BG3: Tensor) -> Gaussian:
-        """The random part, once a picture is seen."""
-        return _gaussian(
-            self.posterior(torch.cat([recurrent_BR, seen_BC, goal_BG3.flatten(1)], -1))
-        )
+    def posterior(self, recurrent_BC: Tensor, embedding_BC: Tensor, goal_BG3: Tensor) -> Normal:
+        """The stochastic part given an image."""
+        inputs = torch.cat([recurrent_BC, embedding_BC, goal_BG3.flatten(1)], -1)
+        return _normal(self.posterior_head(inputs))
 
     def decode(self, features_BC: Tensor) -> Tensor:
-        """The picture of a state: B3HW, 0 to 1."""
-        picture: Tensor = self.decoder(self.widen(features_BC)[..., None, None]) + 0.5
-        return picture
+        """Reconstructed image B3HW, about 0 to 1."""
+        image: Tensor = self.decoder(self.decoder_input(features_BC)[..., None, None]) + 0.5
+        return image
 
     def rewards(self, features_BC: Tensor, goal_BG3: Tensor) -> Tensor:
-        """Minus the mean distance to the goals (half pictures): B; or for any other leading
-        dimensions.
-        """
-        found: Tensor = self.reward(torch.cat([features_BC, goal_BG3.flatten(-2)], -1))[..., 0]
-        return found
+        """Minus the mean distance to the goals: B, or any other leading dimensions."""
+        inputs = torch.cat([features_BC, goal_BG3.flatten(-2)], -1)
+        reward: Tensor = self.reward_head(inputs)[..., 0]
+        return reward
 
 
 def distance_to_goals(object_BN2: Tensor, goal_BG3: Tensor) -> Tensor:
@@ -139,20 +122,19 @@ def distance_to_goals(object_BN2: Tensor, goal_BG3: Tensor) -> Tensor:
 
 @torch.no_grad()
 def unroll_latent(
-    net: PlaNet, frame_3HW: Tensor, goal_G3: Tensor, tip_S2: Tensor, actions_SH2: Tensor
+    net: PlaNet, frame_3HW: Tensor, goal_G3: Tensor, tip_S2: Tensor, actions_ST2: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """States SHC and their rewards SH under S plans from one picture.
-
-    The mean state is imagined, as samples would only add noise.
-    """
-    samples = len(tip_S2)
-    goal_SG3 = goal_G3.expand(samples, -1, -1)
-    seen = net.encode(frame_3HW[None]).expand(samples, -1)
-    recurrent, _ = net.imagine(net.begin(samples, seen), seen.new_zeros(samples, ACTION_DIM))
-    state = LatentState(recurrent, net.look(recurrent, seen, goal_SG3).mean)
+    """State features STC and rewards ST of S plans that start from one image."""
+    num_plans = len(tip_S2)
+    goal_SG3 = goal_G3.expand(num_plans, -1, -1)
+    embedding = net.encode(frame_3HW[None]).expand(num_plans, -1)
+    no_action = embedding.new_zeros(num_plans, ACTION_DIM)
+    recurrent, _ = net.prior(net.initial(num_plans, embedding), no_action)
+    # Means instead of samples: samples would only add noise to the comparison of plans.
+    state = LatentState(recurrent, net.posterior(recurrent, embedding, goal_SG3).mean)
     features, rewards = [], []
-    for action_S2 in actions_SH2.unbind(1):
-        recurrent, prior = net.imagine(state, torch.cat([tip_S2, action_S2], -1))
+    for action_S2 in actions_ST2.unbind(1):
+        recurrent, prior = net.prior(state, torch.cat([tip_S2, action_S2], -1))
         state = LatentState(recurrent, prior.mean)
         features.append(state.features())
         rewards.append(net.rewards(features[-1], goal_SG3))
@@ -160,9 +142,10 @@ def unroll_latent(
     return torch.stack(features, 1), torch.stack(rewards, 1)
 
 
-def _gaussian(numbers_BZ: Tensor) -> Gaussian:
-    mean, raw = numbers_BZ.chunk(2, -1)
-    return Gaussian(mean, F.softplus(raw) + MIN_STD)
+def _normal(outputs_BC: Tensor) -> Normal:
+    mean, raw_std = outputs_BC.chunk(2, -1)
+    # Without validation: the training loop reports values that are not finite.
+    return Normal(mean, F.softplus(raw_std) + MIN_STD, validate_args=False)
 
 
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:

@@ -1,4 +1,4 @@
-"""Training the two baselines on clips, and what they have learned."""
+"""Training, saving and loading of the two baselines."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from oes.baselines import BASELINES
 from oes.baselines.clips import Clips, sample_clips
-from oes.baselines.losses import Latent, foresight_loss, planet_loss
+from oes.baselines.losses import PlanetLossConfig, foresight_loss, planet_loss
 from oes.baselines.overhead_camera import OverheadView
 from oes.baselines.planet import PlaNet, PlanetConfig
 from oes.baselines.visual_foresight import ForesightConfig, VisualForesight
@@ -19,87 +19,77 @@ from oes.training.tensor_io import read_tensors, write_tensors
 
 BaselineModel = VisualForesight | PlaNet
 BASELINE_FILE = "model.safetensors"
-BASELINE_FORMAT = "oes-video-1"
+BASELINE_FORMAT = "oes-baseline-1"
+NUM_BACKGROUND = 256  # images of which the background is the median
 
 
 class BaselineError(ValueError):
-    """A model's word that does not exist, or a file that does not hold such a model."""
+    """An unknown model name, or a file that does not hold a baseline."""
 
 
 @params
 class ForesightTraining:
-    """How Visual Foresight is built and trained; a pixel that changes counts ``1 + changed``
-    times.
-    """
+    """Visual Foresight; a pixel that changes counts ``1 + changed_pixel_weight`` times."""
 
     net: ForesightConfig
-    changed: float
+    changed_pixel_weight: float
     fit: TrainConfig
 
 
 @params
 class PlanetTraining:
-    """How PlaNet is built and trained; ``weights`` of image, reward and kl."""
+    """PlaNet; ``weights`` of the loss terms image, reward and kl."""
 
     net: PlanetConfig
-    latent: Latent
+    loss: PlanetLossConfig
     weights: dict[str, float]
     fit: TrainConfig
 
 
 @params
 class BaselinesConfig:
-    """The section ``video``: one part per model."""
+    """The section ``baselines``: one part per model."""
 
     visual_foresight: ForesightTraining
     planet: PlanetTraining
 
 
 def train_baseline(
-    cfg: BaselinesConfig, word: str, clips: Clips, work: Path, device: torch.device
+    cfg: BaselinesConfig, name: str, clips: Clips, work: Path, device: torch.device
 ) -> tuple[BaselineModel, list[dict[str, float]]]:
-    """Train a model of ``BASELINES`` from scratch, or go on from the progress in ``work``. The
-    model and its log.
+    """Train a model of ``BASELINES``, or resume from the checkpoint in ``work``; its log.
 
-    Raises VideoError for an unknown word.
+    Raises BaselineError for an unknown name.
     """
-    if word not in BASELINES:
-        raise BaselineError(f"unknown model {word!r}; there are: {', '.join(BASELINES)}")
-    own = cfg.visual_foresight if word == "visual_foresight" else cfg.planet
+    _check_name(name)
+    own = cfg.visual_foresight if name == "visual_foresight" else cfg.planet
     torch.manual_seed(own.fit.seed)
+    if isinstance(own, ForesightTraining):
+        model: BaselineModel = VisualForesight(own.net)
+        loss, weights = foresight_loss(own.changed_pixel_weight), {"image": 1.0}
+    else:
+        model = PlaNet(own.net)
+        loss, weights = planet_loss(own.loss, background(clips).to(device)), own.weights
 
     def batch_at(step: int) -> Clips:
         return sample_clips(clips, own.fit.batch, np.random.default_rng([own.fit.seed, step]))
 
-    if isinstance(own, ForesightTraining):
-        model: BaselineModel = VisualForesight(own.net)
-        loss, weights = foresight_loss(own.changed), {"picture": 1.0}
-    else:
-        model = PlaNet(own.net)
-        loss, weights = planet_loss(own.latent, mean_picture(clips).to(device)), own.weights
-    rows = fit(
-        model,
-        batch_at,
-        lambda net, batch: loss(net, batch.to(device)),
-        weights,
-        own.fit,
-        work,
-        device,
-    )
-    return model, rows
+    def device_loss(net: torch.nn.Module, batch: Clips) -> dict[str, Tensor]:
+        return loss(net, batch.to(device))
+
+    return model, fit(model, batch_at, device_loss, weights, own.fit, work, device)
 
 
-def mean_picture(clips: Clips) -> Tensor:
-    """The median picture of the first states, 3HW, 0 to 1: the empty table."""
-    return clips.frame_BI3HW[:256, 0].float().median(0).values / 255
+def background(clips: Clips) -> Tensor:
+    """Median of the first images, 3HW from 0 to 1: the empty table."""
+    return clips.frame_BI3HW[:NUM_BACKGROUND, 0].float().median(0).values / 255
 
 
 def save_baseline(folder: Path, model: BaselineModel, view: OverheadView) -> None:
-    """Write a model of ``BASELINES`` with its config and its camera's; the file appears whole."""
-    word = next(word for word, kind in BASELINES.items() if type(model) is kind)
+    """Write weights, configuration and camera of a model; the file appears whole."""
     about = {
         "format": BASELINE_FORMAT,
-        "model": word,
+        "model": next(name for name, kind in BASELINES.items() if type(model) is kind),
         "net": to_json(model.cfg),
         "view": to_json(view),
     }
@@ -107,7 +97,7 @@ def save_baseline(folder: Path, model: BaselineModel, view: OverheadView) -> Non
 
 
 def is_baseline(folder: Path) -> bool:
-    """Whether the weights in ``folder`` say that they are of a video model."""
+    """Whether the model file in ``folder`` holds a baseline."""
     try:
         with safe_open(folder / BASELINE_FILE, framework="pt") as file:
             return (file.metadata() or {}).get("format") == BASELINE_FORMAT
@@ -116,15 +106,10 @@ def is_baseline(folder: Path) -> bool:
 
 
 def load_baseline(folder: Path) -> tuple[BaselineModel, OverheadView]:
-    """The model in ``folder`` (eval mode) and its camera. Raises VideoError naming the file and
-    what is wrong.
-    """
+    """The model in ``folder`` (eval mode) and its camera. Raises BaselineError naming the file."""
     path = folder / BASELINE_FILE
     tensors, about = read_tensors(path, BASELINE_FORMAT, BaselineError)
-    if about.get("model") not in BASELINES:
-        raise BaselineError(
-            f"{path}: unknown model {about.get('model')!r}; there are: {', '.join(BASELINES)}"
-        )
+    _check_name(about.get("model", ""), f"{path}: ")
     model: BaselineModel
     if about["model"] == "planet":
         model = PlaNet(from_json(about["net"], PlanetConfig, f"{path}: net"))
@@ -134,6 +119,10 @@ def load_baseline(folder: Path) -> tuple[BaselineModel, OverheadView]:
         model.load_state_dict(tensors)
     except RuntimeError as error:
         raise BaselineError(f"{path}: its weights do not fit its config: {error}") from error
-    return model.eval().requires_grad_(False), from_json(
-        about["view"], OverheadView, f"{path}: view"
-    )
+    view = from_json(about["view"], OverheadView, f"{path}: view")
+    return model.eval().requires_grad_(False), view
+
+
+def _check_name(name: str, source: str = "") -> None:
+    if name not in BASELINES:
+        raise BaselineError(f"{source}unknown model {name!r}; valid: {', '.join(BASELINES)}")

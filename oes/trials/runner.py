@@ -13,7 +13,7 @@ from joblib import Memory, Parallel, delayed
 from tqdm import tqdm
 
 from oes.baselines.overhead_camera import OverheadView
-from oes.baselines.overhead_render import OverheadCamera
+from oes.baselines.overhead_render import OverheadRenderer
 from oes.config import Shared, params
 from oes.episode import Body, Camera, Step
 from oes.meshes.catalogue import Catalogue, load_catalogue
@@ -135,7 +135,7 @@ class CameraSensor:
     ) -> None:
         table_m = np.array(sim.physics.table_size_m)
         self._renderer = Renderer(scene_meshes(table_m, robot_shape(sim.robot), bodies, catalogue))
-        self._overhead = view and OverheadCamera(catalogue, sim.physics.table_size_m, bodies, view)
+        self._overhead = view and OverheadRenderer(catalogue, sim.physics.table_size_m, bodies, view)
 
     def __call__(self, step: Step, camera: Camera) -> Observation:
         """The state as ``camera`` sees it."""

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from oes.baselines.overhead_camera import Overhead, OverheadView
+from oes.baselines.overhead_camera import OverheadCamera, OverheadView
 from oes.baselines.planet import PlaNet, unroll_latent
 from oes.baselines.train import is_baseline, load_baseline
 from oes.baselines.visual_foresight import (
@@ -120,8 +120,8 @@ class ForesightWorldModel:
         self, belief: StateEstimate, goal_G3: Floats, proposals: Candidates, futures: int = 1
     ) -> Rollouts:
         """Turns are not foreseen."""
-        above = Overhead(self.view)
-        place_N2 = torch.from_numpy(above.place(belief.center_N3)).float()
+        above = OverheadCamera(self.view)
+        place_N2 = torch.from_numpy(above.project(belief.center_N3)).float()
         _, maps_SHNYX = unroll_pixels(
             self.net, _picture(belief), place_N2, *_pushes(above, proposals)
         )
@@ -130,8 +130,8 @@ class ForesightWorldModel:
             torch.stack([expected_pixel(maps) for maps in maps_SHNYX.unbind(1)], 1).double().numpy()
         )
         height_SHN = np.broadcast_to(belief.center_N3[:, 2], place_SHN2.shape[:-1])
-        position = np.concatenate([above.ground(place_SHN2, height_SHN), height_SHN[..., None]], -1)
-        goal_G2 = torch.from_numpy(above.place(goal_G3)).float()
+        position = np.concatenate([above.unproject(place_SHN2, height_SHN), height_SHN[..., None]], -1)
+        goal_G2 = torch.from_numpy(above.project(goal_G3)).float()
         away_GYX = (pixel_grid(height, width, maps_SHNYX) - goal_G2[:, None, None]).norm(dim=-1)
         cost_ST = (maps_SHNYX[:, :, : len(goal_G3)] * away_GYX).sum((-2, -1)).mean(
             -1
@@ -155,13 +155,13 @@ class PlanetWorldModel:
         self, belief: StateEstimate, goal_G3: Floats, proposals: Candidates, futures: int = 1
     ) -> Rollouts:
         """Goals are told in the order of their objects from left to right, as in training."""
-        above = Overhead(self.view)
-        order = np.argsort(above.place(belief.center_N3[: len(goal_G3)])[:, 0])[
-            : self.net.cfg.goals
+        above = OverheadCamera(self.view)
+        order = np.argsort(above.project(belief.center_N3[: len(goal_G3)])[:, 0])[
+            : self.net.cfg.max_goals
         ]
-        goals = torch.zeros(self.net.cfg.goals, 3)
+        goals = torch.zeros(self.net.cfg.max_goals, 3)
         goals[: len(order)] = torch.from_numpy(
-            np.column_stack([above.place(goal_G3[order]), np.ones(len(order))])
+            np.column_stack([above.project(goal_G3[order]), np.ones(len(order))])
         )
         _, rewards_SH = unroll_latent(self.net, _picture(belief), goals, *_pushes(above, proposals))
         position = belief.objects.center_N3.expand(*rewards_SH.shape, -1, -1)
@@ -175,9 +175,9 @@ def _path(proposals: Candidates) -> Tensor:
     return torch.cat([tip_S13, tip_S13 + proposals.actions_ST3.cumsum(1)], 1)
 
 
-def _pushes(above: Overhead, proposals: Candidates) -> tuple[Tensor, Tensor]:
+def _pushes(above: OverheadCamera, proposals: Candidates) -> tuple[Tensor, Tensor]:
     """Where the rod starts, S2, and its displacements, SH2, as seen from above."""
-    place_SI2 = torch.from_numpy(above.place(_path(proposals).double().numpy())).float()
+    place_SI2 = torch.from_numpy(above.project(_path(proposals).double().numpy())).float()
     return place_SI2[:, 0], place_SI2.diff(dim=1)
 
 
