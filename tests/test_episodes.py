@@ -2,6 +2,7 @@
 recorder.
 """
 
+import json
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -177,7 +178,9 @@ def test_a_failing_episode_is_counted_and_the_rest_is_made(
     assert [episode.index for episode in made] == [1]
     card = statistics(made, failures, small(2))
     write_card(card, tmp_path)
-    assert card["left_out"] == [{"index": 0, "reason": "SceneRejected: nothing stands"}]
+    tree = json.loads((tmp_path / "card.json").read_text())
+    assert tree["left_out"] == [{"index": 0, "reason": "SceneRejected: nothing stands"}]
+    assert "impact" not in tree and set(tree["rod_rms_mm"]) == {"mean", "max"}
     assert "- episode 0: SceneRejected: nothing stands" in (tmp_path / "card.md").read_text()
     first = (tmp_path / "card.png").read_bytes()
     write_card(card, tmp_path)
@@ -187,13 +190,12 @@ def test_a_failing_episode_is_counted_and_the_rest_is_made(
 def test_the_card_counts_what_the_episodes_hold(episodes: list[Episode]) -> None:
     card = statistics(episodes, [], CFG)
     moved = np.concatenate([displacement_mm(episode, 5) for episode in episodes])
-    assert card["episodes"] == len(episodes)
-    assert card["objects"] == {"2": len(episodes)}
-    assert card["meshes"] == {"bowl": len(episodes), "rect": len(episodes)}
-    assert card["displacement_mm"]["5"]["mean"] == pytest.approx(moved.mean())
-    assert card["share_object_contact"] == np.mean(
-        [has_object_contact(episode) for episode in episodes]
-    )
-    assert card["rejected_attempts"] == sum(count_rejected(episode, CFG) for episode in episodes)
+    assert card.episodes == len(episodes)
+    assert card.objects == {"2": len(episodes)}
+    assert card.meshes == {"bowl": len(episodes), "rect": len(episodes)}
+    assert card.displacement_mm["5"].mean == pytest.approx(moved.mean())
+    touched = [has_object_contact(episode) for episode in episodes]
+    assert card.share_object_contact == np.mean(touched)
+    assert card.rejected_attempts == sum(count_rejected(episode, CFG) for episode in episodes)
     with pytest.raises(ValueError, match="seed that these params do not give"):
         count_rejected(replace(episodes[0], seed=12345), CFG)

@@ -1,6 +1,4 @@
-"""Capture: an episode is simulated, seen by 27 cameras at every state, and written; a split is many
-at once.
-"""
+"""Capture of episodes: simulate, render 27 cameras at every state, record."""
 
 import logging
 from dataclasses import dataclass
@@ -9,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from oes.episode import Episode
 from oes.meshes.catalogue import Catalogue, load_catalogue
+from oes.progress import progress_bar
 from oes.record.writer import write_episode
 from oes.render.renderer import Renderer
 from oes.render.scene import mesh_poses, scene_meshes
@@ -27,7 +25,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Failure:
-    """An episode that could not be made, and why."""
+    """An episode that could not be made, and the reason."""
 
     index: int
     reason: str
@@ -36,47 +34,39 @@ class Failure:
 def capture_split(
     meshes: Path, cfg: EpisodesConfig, task: str, split: str, work: Path
 ) -> list[Failure]:
-    """Simulate, render and record all episodes of a split into ``work``, on all cores; those there
-    already are kept.
+    """Capture the episodes of a split that ``work`` lacks, in ``cfg.num_workers`` processes.
 
-    An episode that fails is left out and returned with its reason. Raises KeyError for an unknown
-    split.
+    Returns the episodes that failed, which are left out. Raises KeyError for an unknown split.
     """
-    missing = [
-        i for i in range(cfg.splits[task][split].count) if not episode_folder(work, i).exists()
-    ]
-    jobs = (delayed(_try_capture)(meshes, cfg, task, split, i, work) for i in missing)
+    indices = range(cfg.splits[task][split].count)
+    missing = [i for i in indices if not episode_folder(work, i).exists()]
+    # Every episode is written by rename (write_episode), so that one that exists is whole.
+    jobs = [delayed(_try_capture)(meshes, cfg, task, split, i, work) for i in missing]
     done = Parallel(n_jobs=cfg.num_workers, return_as="generator_unordered")(jobs)
-    bar = tqdm(done, total=len(missing), desc=f"{task}-{split}", unit="episode")
-    failures = [outcome for outcome in bar if outcome is not None]
+    bar = progress_bar(done, total=len(missing), desc=f"{task}-{split}", unit="episode")
+    failures = sorted(filter(None, bar), key=lambda failure: failure.index)
     for failure in failures:
         log.warning("%s-%s %d left out: %s", task, split, failure.index, failure.reason)
-    return sorted(failures, key=lambda failure: failure.index)
+    return failures
 
 
 def capture(
     catalogue: Catalogue, cfg: EpisodesConfig, task: str, split: str, index: int, folder: Path
 ) -> None:
-    """Make one episode, and its images, as ``folder``, which appears whole."""
-    write(simulate(catalogue, cfg, task, split, index), catalogue, cfg, folder)
-
-
-def write(episode: Episode, catalogue: Catalogue, cfg: EpisodesConfig, folder: Path) -> None:
-    """Render all cameras of every state of an episode and record it as ``folder``."""
+    """Simulate, render and record one episode as ``folder``, which appears whole."""
+    episode = simulate(catalogue, cfg, task, split, index)
     renderer = scene_renderer(episode, catalogue, cfg.sim)
     frames = (renderer.render(mesh_poses(step), step.cameras) for step in episode.steps)
     write_episode(episode, frames, folder)
 
 
 def episode_folder(work: Path, index: int) -> Path:
-    """Where episode ``index`` of a split lies."""
+    """Folder of episode ``index`` of a split."""
     return work / f"traj_{index:06d}"
 
 
 def scene_renderer(episode: Episode, catalogue: Catalogue, cfg: SimConfig) -> Renderer:
-    """The renderer of an episode's table, arm (if any) and bodies; ``mesh_poses(step)`` gives its
-    poses.
-    """
+    """Renderer of an episode's table, arm (if any) and objects; its poses: ``mesh_poses(step)``."""
     table = np.array(cfg.physics.table_size_m)
     robot = robot_shape(cfg.robot) if episode.has_robot else RobotShape(())
     return Renderer(scene_meshes(table, robot, episode.bodies, catalogue))
@@ -85,7 +75,6 @@ def scene_renderer(episode: Episode, catalogue: Catalogue, cfg: SimConfig) -> Re
 def _try_capture(
     meshes: Path, cfg: EpisodesConfig, task: str, split: str, index: int, work: Path
 ) -> Failure | None:
-    """One job of a worker process, which keeps its catalogue from job to job."""
     try:
         capture(_catalogue(meshes), cfg, task, split, index, episode_folder(work, index))
     except (SceneRejected, BulletError, ValueError) as error:
@@ -95,4 +84,5 @@ def _try_capture(
 
 @lru_cache(maxsize=1)
 def _catalogue(folder: Path) -> Catalogue:
+    """The catalogue, loaded once a worker process."""
     return load_catalogue(folder)

@@ -1,16 +1,13 @@
-"""The card of a split: what its episodes hold, in numbers (card.json), words (card.md) and a
-picture (card.png).
+"""The dataset card of a split: statistics (card.json), a summary (card.md) and plots (card.png).
 
-Displacements are of the objects' box centres since the start; every figure comes from the recorded
-states alone.
+Every number is computed from the recorded states alone.
 """
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -18,180 +15,184 @@ from matplotlib.figure import Figure
 
 from oes.episode import SEG_FIRST_OBJECT, Episode, Floats
 from oes.episodes.capture import Failure
+from oes.metrics.errors import rotation_deg, translation_mm
 from oes.sim.simulate import EpisodesConfig, count_rejected
 
 HORIZONS = (1, 3, 5)
 MOVED_MM = 10.0
-OBJECTS_FROM = (
-    SEG_FIRST_OBJECT - 1
-)  # where objects begin in Step.contact_AA: after the table and the robot
-INK, BARS = "#22262b", ("#0072b2", "#e69f00", "#009e73")
+FIRST_OBJECT = SEG_FIRST_OBJECT - 1  # row of Step.contact_AA, which has none for "nothing"
+INK, COLOURS = "#22262b", ("#0072b2", "#e69f00", "#009e73")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean and quartiles."""
+
+    mean: float
+    q25: float
+    median: float
+    q75: float
+
+
+@dataclass(frozen=True)
+class DatasetCard:
+    """Statistics of a split, the schema of card.json. Keys of the dictionaries by T: str(T).
+
+    ``objects`` and ``meshes`` count episodes by number of objects, and uses of each mesh.
+    ``most_moved_mm``, and ``share_moved`` (the share above ``MOVED_MM``), are of the object of each
+    episode that moved farthest. ``rod_rms_mm`` is there with a robot, ``impact`` without: the share
+    of episodes whose falling object has touched anything by T. ``displacements_mm`` lists the
+    displacement of every object.
+    """
+
+    task: str
+    split: str
+    episodes: int
+    left_out: list[Failure]
+    rejected_attempts: int
+    objects: dict[str, int]
+    meshes: dict[str, int]
+    displacement_mm: dict[str, Spread]
+    most_moved_mm: dict[str, Spread]
+    rotation_deg: dict[str, Spread]
+    share_moved: dict[str, float]
+    share_object_contact: float
+    rod_rms_mm: dict[str, float] | None
+    impact: dict[str, float] | None
+    displacements_mm: dict[str, list[float]]
 
 
 def statistics(
     episodes: Sequence[Episode], failures: Sequence[Failure], cfg: EpisodesConfig
-) -> dict[str, Any]:
-    """Numbers of a split that may be written as JSON. Raises ValueError where there is no episode
-    at all.
-    """
+) -> DatasetCard:
+    """The card of a split. Raises ValueError if there is no episode."""
     if not episodes:
         raise ValueError("a split without a single episode; the reasons are in the log")
-    horizons = [T for T in HORIZONS if T < len(episodes[0].steps)]
-    moved_mm = {
-        T: np.concatenate([displacement_mm(episode, T) for episode in episodes]) for T in horizons
-    }
-    pushed_mm = {
-        T: np.array([displacement_mm(episode, T).max() for episode in episodes]) for T in horizons
-    }
-    return {
-        "task": episodes[0].task,
-        "split": episodes[0].split,
-        "episodes": len(episodes),
-        "left_out": [asdict(failure) for failure in failures],
-        "rejected_attempts": sum(count_rejected(episode, cfg) for episode in episodes),
-        "objects": _counted(len(episode.bodies) for episode in episodes),
-        "meshes": _counted(body.mesh for episode in episodes for body in episode.bodies),
-        "displacement_mm": {str(T): _spread(values) for T, values in moved_mm.items()},
-        "most_moved_mm": {str(T): _spread(values) for T, values in pushed_mm.items()},
-        "rotation_deg": {
-            str(T): _spread(np.concatenate([rotation_deg(episode, T) for episode in episodes]))
-            for T in horizons
-        },
-        "share_moved": {
-            str(T): float((values > MOVED_MM).mean()) for T, values in pushed_mm.items()
-        },
-        "share_object_contact": float(
-            np.mean([has_object_contact(episode) for episode in episodes])
-        ),
-        **(_rod(episodes) if episodes[0].has_robot else _impact(episodes)),
-        "displacements_mm": {
-            str(T): np.round(values, 2).tolist() for T, values in moved_mm.items()
-        },
-    }
-
-
-def displacement_mm(episode: Episode, T: int) -> Floats:
-    """How far each object's box centre at the start, carried with the object, has come after T
-    actions: N.
-    """
-    first, step = episode.steps[0], episode.steps[T]
-    motion = step.world_T_obj_N44 @ np.linalg.inv(first.world_T_obj_N44)
-    carried = (motion[:, :3, :3] @ first.center_N3[..., None])[..., 0] + motion[:, :3, 3]
-    return np.asarray(np.linalg.norm(carried - first.center_N3, axis=1) * 1000)
-
-
-def rotation_deg(episode: Episode, T: int) -> Floats:
-    """Angle N by which each object has turned after T actions."""
-    R = episode.steps[T].world_T_obj_N44[:, :3, :3] @ episode.steps[0].world_T_obj_N44[
-        :, :3, :3
-    ].swapaxes(-1, -2)
-    return np.asarray(
-        np.degrees(np.arccos(np.clip((np.trace(R, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    first = episodes[0]
+    horizons = [T for T in HORIZONS if T < len(first.steps)]
+    moved_mm = {str(T): [displacement_mm(episode, T) for episode in episodes] for T in horizons}
+    turned_deg = {str(T): [_rotation_deg(episode, T) for episode in episodes] for T in horizons}
+    all_mm = {T: np.concatenate(values) for T, values in moved_mm.items()}
+    most_mm = {T: np.array([value.max() for value in values]) for T, values in moved_mm.items()}
+    return DatasetCard(
+        task=first.task,
+        split=first.split,
+        episodes=len(episodes),
+        left_out=list(failures),
+        rejected_attempts=sum(count_rejected(episode, cfg) for episode in episodes),
+        objects=_count(len(episode.bodies) for episode in episodes),
+        meshes=_count(body.mesh for episode in episodes for body in episode.bodies),
+        displacement_mm={T: _spread(values) for T, values in all_mm.items()},
+        most_moved_mm={T: _spread(values) for T, values in most_mm.items()},
+        rotation_deg={T: _spread(np.concatenate(values)) for T, values in turned_deg.items()},
+        share_moved={T: float((values > MOVED_MM).mean()) for T, values in most_mm.items()},
+        share_object_contact=float(np.mean([has_object_contact(each) for each in episodes])),
+        rod_rms_mm=_rod_rms_mm(episodes) if first.has_robot else None,
+        impact=None if first.has_robot else _impact_share(episodes),
+        displacements_mm={T: np.round(values, 2).tolist() for T, values in all_mm.items()},
     )
 
 
-def impact_T(episode: Episode) -> int | None:
-    """The first T by which the last object, which falls, has touched anything; None where it never
-    does.
+def displacement_mm(episode: Episode, T: int) -> Floats:
+    """Displacement N of each object's initial box centre, moved with the object, after T actions.
+
+    The centre, unlike the mesh's origin, does not depend on where a mesh has its frame.
     """
+    first, step = episode.steps[0], episode.steps[T]
+    motion_N44 = step.world_T_obj_N44 @ np.linalg.inv(first.world_T_obj_N44)
+    moved_N3 = (motion_N44[:, :3, :3] @ first.center_N3[..., None])[..., 0] + motion_N44[:, :3, 3]
+    return translation_mm(moved_N3, first.center_N3)
+
+
+def impact_T(episode: Episode) -> int | None:
+    """First T by which the last object, the falling one, touched anything; None if it never did."""
     return next((T for T, step in enumerate(episode.steps) if step.contact_AA[-1].any()), None)
 
 
 def has_object_contact(episode: Episode) -> bool:
-    """Whether two objects touched at any moment."""
-    return any(step.contact_AA[OBJECTS_FROM:, OBJECTS_FROM:].any() for step in episode.steps)
+    """Whether two objects touched at any time."""
+    return any(step.contact_AA[FIRST_OBJECT:, FIRST_OBJECT:].any() for step in episode.steps)
 
 
-def write_card(card: Mapping[str, Any], folder: Path) -> None:
-    """Write card.json, card.md and card.png, the same bytes for the same numbers."""
-    (folder / "card.json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
-    (folder / "card.md").write_text(_words(card), encoding="utf-8")
-    _picture(card).savefig(folder / "card.png", dpi=110, metadata={"Software": None})
+def write_card(card: DatasetCard, folder: Path) -> None:
+    """Write card.json, card.md and card.png; equal cards give equal bytes."""
+    tree = {name: value for name, value in asdict(card).items() if value is not None}
+    (folder / "card.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
+    (folder / "card.md").write_text(_markdown(card), encoding="utf-8")
+    _figure(card).savefig(folder / "card.png", dpi=110, metadata={"Software": None})
 
 
-def _rod(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """How well the rod keeps to its path."""
+def _rotation_deg(episode: Episode, T: int) -> Floats:
+    first, step = episode.steps[0], episode.steps[T]
+    return rotation_deg(step.world_T_obj_N44[:, :3, :3], first.world_T_obj_N44[:, :3, :3])
+
+
+def _rod_rms_mm(episodes: Sequence[Episode]) -> dict[str, float]:
     rms_mm = np.array([episode.rod_rms_m for episode in episodes]) * 1000
-    return {"rod_rms_mm": {"mean": float(np.sqrt((rms_mm**2).mean())), "max": float(rms_mm.max())}}
+    return {"mean": float(np.sqrt((rms_mm**2).mean())), "max": float(rms_mm.max())}
 
 
-def _impact(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """The share of episodes whose falling object has touched something by each T."""
-    at = [impact_T(episode) for episode in episodes]
+def _impact_share(episodes: Sequence[Episode]) -> dict[str, float]:
+    first = [impact_T(episode) for episode in episodes]
     steps = range(1, len(episodes[0].steps))
-    return {
-        "impact": {
-            str(T): float(np.mean([first is not None and first <= T for first in at]))
-            for T in steps
-        }
-    }
+    return {str(T): float(np.mean([t is not None and t <= T for t in first])) for T in steps}
 
 
-def _counted(things: Any) -> dict[str, int]:
-    return {str(thing): count for thing, count in sorted(Counter(things).items())}
+def _count(values: Iterable[object]) -> dict[str, int]:
+    return {str(value): count for value, count in sorted(Counter(values).items())}  # type: ignore[type-var]
 
 
-def _spread(values: Floats) -> dict[str, float]:
-    quartiles = np.percentile(values, [25, 50, 75])
-    return {
-        "mean": float(values.mean()),
-        **dict(zip(("q25", "median", "q75"), quartiles.tolist(), strict=True)),
-    }
+def _spread(values: Floats) -> Spread:
+    return Spread(float(values.mean()), *np.percentile(values, [25, 50, 75]).tolist())
 
 
-def _words(card: Mapping[str, Any]) -> str:
+def _markdown(card: DatasetCard) -> str:
+    objects = ", ".join(f"{count} with {number}" for number, count in card.objects.items())
     rows = [
-        f"| {T} | {card['displacement_mm'][T]['mean']:.1f} | {card['displacement_mm'][T]['median']:.1f} "
-        f"| {card['most_moved_mm'][T]['mean']:.1f} | {100 * card['share_moved'][T]:.0f}% "
-        f"| {card['rotation_deg'][T]['mean']:.1f} |"
-        for T in card["displacement_mm"]
+        f"| {T} | {all_mm.mean:.1f} | {all_mm.median:.1f} | {card.most_moved_mm[T].mean:.1f} "
+        f"| {100 * card.share_moved[T]:.0f}% | {card.rotation_deg[T].mean:.1f} |"
+        for T, all_mm in card.displacement_mm.items()
     ]
-    left_out = [f"- episode {each['index']}: {each['reason']}" for each in card["left_out"]] or [
-        "- none"
-    ]
-    objects = ", ".join(f"{count} with {number}" for number, count in card["objects"].items())
+    left_out = [f"- episode {each.index}: {each.reason}" for each in card.left_out]
     lines = [
-        f"# {card['task']}, {card['split']}",
-        "",
-        f"{card['episodes']} episodes ({objects} objects); {card['rejected_attempts']} attempts rejected on the way.",
-        f"Two objects touch in {100 * card['share_object_contact']:.0f}% of the episodes.",
-        _moving(card),
-        "",
-        "| T | all objects: mean mm | median mm | most moved: mean mm | episodes with over 1 cm | mean turn, deg |",
+        f"# {card.task}, {card.split}\n",
+        f"{card.episodes} episodes ({objects} objects); {card.rejected_attempts} rejected.",
+        f"Two objects touch in {100 * card.share_object_contact:.0f}% of the episodes.",
+        f"{_motion_cause(card)}\n",
+        "Displacement and rotation of the objects after T actions:\n",
+        "| T | mean mm | median mm | most moved object, mean mm | episodes with over 1 cm "
+        "| mean rotation, deg |",
         "|---|---|---|---|---|---|",
         *rows,
-        "",
-        "![displacements, turns and meshes](card.png)",
-        "",
-        "Left out:",
-        *left_out,
-        "",
+        "\n![Displacements, and use of the meshes](card.png)\n",
+        "Episodes left out:",
+        *(left_out or ["- none"]),
     ]
-    return "\n".join(lines)
+    return "\n".join(lines) + "\n"
 
 
-def _moving(card: Mapping[str, Any]) -> str:
-    """A sentence on what sets things in motion."""
-    if "impact" in card:
-        shares = ", ".join(f"{100 * share:.0f}% by T = {T}" for T, share in card["impact"].items())
+def _motion_cause(card: DatasetCard) -> str:
+    if card.impact is not None:
+        shares = ", ".join(f"{100 * share:.0f}% by T = {T}" for T, share in card.impact.items())
         return f"The falling object has touched something in {shares}."
-    rod = card["rod_rms_mm"]
-    return f"The rod keeps to its commanded path within {rod['mean']:.3f} mm RMS (worst {rod['max']:.3f} mm)."
+    rod_mm = card.rod_rms_mm or {}
+    return (
+        f"RMS distance of the rod from its commanded path: {rod_mm['mean']:.3f} mm "
+        f"(worst episode {rod_mm['max']:.3f} mm)."
+    )
 
 
-def _picture(card: Mapping[str, Any]) -> Figure:
-    """Histogram of displacements at each T beside the number of times every mesh is used."""
+def _figure(card: DatasetCard) -> Figure:
+    """Histogram of the displacements at each T, and how often each mesh is used."""
     with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 8, "text.color": INK}):
         figure = Figure(figsize=(10, 4.2), layout="constrained")
         left, right = figure.subplots(1, 2)
-        edges = np.linspace(
-            0, max(max(values) for values in card["displacements_mm"].values()) + 1, 41
-        )
-        for (T, values), colour in zip(card["displacements_mm"].items(), BARS, strict=False):
+        edges = np.linspace(0, max(map(max, card.displacements_mm.values())) + 1, 41)
+        for (T, values), colour in zip(card.displacements_mm.items(), COLOURS, strict=False):
             left.hist(values, edges, histtype="step", linewidth=1.6, color=colour, label=f"T = {T}")
         left.set(xlabel="displacement of an object, mm", ylabel="objects", yscale="symlog")
         left.legend(frameon=False)
-        right.barh(list(card["meshes"]), list(card["meshes"].values()), color=BARS[0])
+        right.barh(list(card.meshes), list(card.meshes.values()), color=COLOURS[0])
         right.set(xlabel="times used")
         right.tick_params(axis="y", labelsize=6)
         right.invert_yaxis()
