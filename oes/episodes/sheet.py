@@ -1,0 +1,214 @@
+"""The contact sheet of an episode: ``python -m oes.episodes.sheet EPISODE``.
+
+One HTML file that loads nothing else: the table from above, displacements and contacts, then all
+views at every state as colour with the objects' boxes, depth and segmentation.
+"""
+
+import argparse
+import sys
+from base64 import b64encode
+from collections.abc import Sequence
+from io import BytesIO
+from itertools import combinations, product
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+from PIL import Image
+
+from oes.episode import SEG_FIRST_OBJECT, SEG_ROBOT, SEG_TABLE, Camera, Episode, Floats
+from oes.episodes.dataset_card import displacement_mm
+from oes.geom.camera import project
+from oes.record.errors import EpisodeError
+from oes.record.reader import read_episode, read_frames
+
+Pixels = NDArray[np.uint8]
+
+SEG_COLOURS = {0: "#ffffff", SEG_TABLE: "#d8d2c8", SEG_ROBOT: "#6b6b6b"}
+COLOURS = ("#e4572e", "#2878b5", "#5b9a3c", "#d9a400", "#8e5ea2", "#3aa6a0", "#b0416a")
+TABLE_HALF_M = 0.3
+NUM_COLUMNS = 9
+CORNERS_83 = np.array(list(product((-0.5, 0.5), repeat=3)))
+EDGES = [(a, b) for a, b in combinations(range(8), 2) if a ^ b in (1, 2, 4)]
+
+
+class Table(NamedTuple):
+    """A table of a page. A cell is text, the data URI of an image, or the path of another page."""
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+def write_sheet(folder: Path, out: Path) -> None:
+    """Write the contact sheet of an episode (1 to 3 MB). Raises EpisodeError."""
+    episode = read_episode(folder)
+    frames = [read_frames(folder, step_i, None) for step_i in range(len(episode.steps))]
+    depth_m = np.concatenate([each.depth_m_VHW[each.depth_m_VHW > 0] for each in frames])
+    near_m, far_m = np.percentile(depth_m, [1, 99]) if depth_m.size else (0.0, 1.0)
+    limits = f"depth from {near_m:.2f} m (yellow) to {far_m:.2f} m (dark), white: no return"
+    images = [("Motion from above, displacement, contacts", data_uri(charts(episode), "png"))]
+    for step_i, (step, views) in enumerate(zip(episode.steps, frames, strict=True)):
+        colour = views.rgb_VHW3.copy()
+        for image, camera in zip(colour, step.cameras, strict=True):
+            draw_boxes(image, camera, step.center_N3, step.size_N3)
+        depth = depth_image(views.depth_m_VHW, near_m, far_m)
+        images += [
+            (f"State {step_i}: colour, boxes of the objects", data_uri(mosaic(colour), "jpeg")),
+            (f"State {step_i}: {limits}", data_uri(mosaic(depth), "jpeg")),
+            (f"State {step_i}: segmentation", data_uri(mosaic(seg_image(views.seg_VHW)), "png")),
+        ]
+    rod = f"rod {episode.rod_rms_m * 1000:.1f} mm RMS from its commanded path"
+    summary = (
+        f"{len(episode.bodies)} objects, {len(episode.steps)} states over "
+        f"{episode.steps[-1].t_ns / 1e9:g} s, {len(episode.steps[0].cameras)} cameras, "
+        f"seed {episode.seed}, {rod if episode.has_robot else 'no robot'}"
+    )
+    title = f"{episode.task} {episode.split}, episode {episode.index}"
+    out.write_text(html_page(title, summary, _tables(episode), images), encoding="utf-8")
+
+
+def html_page(
+    title: str, summary: str, tables: Sequence[Table], images: Sequence[tuple[str, str]]
+) -> str:
+    """A page of tables and of images (caption, data URI). Every text is escaped by Jinja."""
+    loader = FileSystemLoader(Path(__file__).parent)
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    template = environment.get_template("sheet.html.jinja")
+    return template.render(title=title, summary=summary, tables=tables, images=images)
+
+
+def data_uri(image_HW3: Pixels, kind: str, quality: int = 80) -> str:
+    """An image as a data URI; "png" is smaller than "jpeg" for few flat colours."""
+    data = BytesIO()
+    Image.fromarray(image_HW3).save(data, kind, quality=quality)
+    return f"data:image/{kind};base64,{b64encode(data.getvalue()).decode()}"
+
+
+def mosaic(images_VHW3: Pixels) -> Pixels:
+    """Views side by side, nine to a row, the last row first: the highest cameras are on top."""
+    num_views, height, width, _ = images_VHW3.shape
+    num_rows = -(-num_views // NUM_COLUMNS)
+    padded = np.full((num_rows * NUM_COLUMNS, height, width, 3), 255, np.uint8)
+    padded[:num_views] = images_VHW3
+    rows = padded.reshape(num_rows, NUM_COLUMNS, height, width, 3)[::-1]
+    return rows.transpose(0, 2, 1, 3, 4).reshape(num_rows * height, NUM_COLUMNS * width, 3)
+
+
+def draw_boxes(image_HW3: Pixels, camera: Camera, center_N3: Floats, size_N3: Floats) -> None:
+    """Draw the edges of world-aligned boxes into an image; none of a box behind the camera."""
+    for object_i, (center, size) in enumerate(zip(center_N3, size_N3, strict=True)):
+        uv_82, depth_8 = project(camera.K_33, camera.world_T_cam_44, center + size * CORNERS_83)
+        if depth_8.min() > 0:
+            # The centre of the first pixel is (0.5, 0.5) here and (0, 0) in OpenCV.
+            pixels_82 = np.rint(np.clip(uv_82 - 0.5, -1e4, 1e4)).astype(int).tolist()
+            for a, b in EDGES:
+                cv2.line(image_HW3, pixels_82[a], pixels_82[b], _rgb(_colour(object_i)).tolist())
+
+
+def depth_image(depth_m_VHW: NDArray[np.float32], near_m: float, far_m: float) -> Pixels:
+    """Depth as colour V H W 3 from near (yellow) to far (dark); white where nothing returned."""
+    share = np.clip((depth_m_VHW - near_m) / max(far_m - near_m, 1e-6), 0, 1)
+    colour: Pixels = mpl.colormaps["viridis_r"](share, bytes=True)[..., :3]
+    return np.where(depth_m_VHW[..., None] > 0, colour, np.uint8(255))
+
+
+def seg_image(seg_VHW: Pixels) -> Pixels:
+    """Segmentation ids as flat colours V H W 3."""
+    objects = {i: _colour(i - SEG_FIRST_OBJECT) for i in range(SEG_FIRST_OBJECT, 256)}
+    return np.array([_rgb((SEG_COLOURS | objects)[i]) for i in range(256)])[seg_VHW]
+
+
+def contact_pairs(episode: Episode) -> list[tuple[int, int]]:
+    """Pairs of bodies (rows of ``contact_AA``) that ever touched, other than with the table."""
+    ever_AA = np.any([step.contact_AA for step in episode.steps], axis=0)
+    return [(a, b) for a, b in combinations(range(1, len(ever_AA)), 2) if ever_AA[a, b]]
+
+
+def charts(episode: Episode) -> Pixels:
+    """The table from above, displacement of every object, and contacts by state, H W 3."""
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    above, displacement, contacts = figure.subplots(1, 3)
+    above.set(title="from above, x and y in m", aspect="equal")
+    above.add_patch(Rectangle((-TABLE_HALF_M,) * 2, *(2 * TABLE_HALF_M,) * 2, color="#f6f3ee"))
+    if episode.has_robot:
+        tip_I3 = np.array([step.tip_world_3 for step in episode.steps])
+        commanded_I3 = tip_I3[0] + np.cumsum([np.zeros(3), *episode.actions_T3], axis=0)
+        above.plot(*commanded_I3[:, :2].T, "--", color="#777", label="rod, commanded")
+        above.plot(*tip_I3[:, :2].T, ".-", color="#111", label="rod")
+        above.legend(frameon=False, fontsize=7)
+    states = range(len(episode.steps))
+    displacement.set(title="displacement, mm", xlabel="state")
+    for object_i in range(len(episode.bodies)):
+        colour = _colour(object_i)
+        moved_mm = [displacement_mm(episode, step_i)[object_i] for step_i in states]
+        displacement.plot(states, moved_mm, color=colour)
+        for step_i, step in enumerate(episode.steps):
+            center, size = step.center_N3[object_i, :2], step.size_N3[object_i, :2]
+            alpha = (step_i + 1) / len(states)  # the later the darker
+            box = Rectangle(center - size / 2, *size, fill=False, color=colour, alpha=alpha)
+            above.add_patch(box)
+    above.autoscale_view()
+    names = ["table", "rod", *(f"{i + 1} {body.mesh}" for i, body in enumerate(episode.bodies))]
+    pairs = contact_pairs(episode)
+    contacts.set(title="contacts, except with the table", xlabel="state", xlim=(0, states[-1] or 1))
+    contacts.set_yticks(range(len(pairs)), [f"{names[a]} / {names[b]}" for a, b in pairs])
+    for row, (a, b) in enumerate(pairs):
+        spans = [(i - 1, 1) for i in states if i and episode.steps[i].contact_AA[a, b]]
+        contacts.broken_barh(spans, (row - 0.3, 0.6), color=_colour(b - 2))
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+def _tables(episode: Episode) -> list[Table]:
+    moved_mm = displacement_mm(episode, len(episode.steps) - 1)
+    bodies = [
+        (f"{i + 1} {body.mesh}", body.category, " ".join(f"{each:.2f}" for each in body.scale_3),
+         f"{body.mass_kg:.3f}", f"{body.friction:.2f}", f"{moved_mm[i]:.0f}")
+        for i, body in enumerate(episode.bodies)
+    ]  # fmt: skip
+    header = ("object", "category", "scale x y z", "mass kg", "friction", "displacement mm")
+    actions = [
+        (f"{i} to {i + 1}", *(f"{each * 1000:.1f}" for each in (x, y, np.hypot(x, y))),
+         f"{np.degrees(np.arctan2(y, x)):.0f}")
+        for i, (x, y, _) in enumerate(episode.actions_T3)
+    ]  # fmt: skip
+    push = Table("Actions", ("states", "x mm", "y mm", "length mm", "yaw deg"), actions)
+    return [Table("Objects", header, bodies), *([push] if episode.has_robot else [])]
+
+
+def _colour(object_i: int) -> str:
+    return COLOURS[object_i % len(COLOURS)]
+
+
+def _rgb(colour: str) -> Pixels:
+    return np.rint(255 * np.array(to_rgb(colour))).astype(np.uint8)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m oes.episodes.sheet", description=__doc__)
+    parser.add_argument("episode", type=Path, help="folder of a recorded episode (traj_NNNNNN)")
+    parser.add_argument("--out", type=Path, help="HTML file to write (default: NAME.html here)")
+    args = parser.parse_args(arguments)
+    out = args.out or Path(f"{args.episode.resolve().name}.html")
+    try:
+        write_sheet(args.episode, out)
+    except (EpisodeError, OSError) as error:
+        print(f"sheet: {error}", file=sys.stderr)
+        return 1
+    print(out)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
