@@ -9,6 +9,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+SCALE = "#scale"  # suffix of the name of an int8 kernel's scale (see ``compact_weights``)
+
 
 def write_tensors(tensors: Mapping[str, Tensor], path: Path, about: Mapping[str, str]) -> None:
     """Write named tensors with ``about`` as the file's metadata, whole by rename."""
@@ -30,10 +32,20 @@ def read_tensors(
             about: dict[str, str] = file.metadata() or {}
             if about.get("format") != form:
                 raise error(f"{path}: its format is {about.get('format')!r}, wanted {form!r}")
-            return {name: file.get_tensor(name) for name in file.keys()}, about
+            return _restored({name: file.get_tensor(name) for name in file.keys()}), about
     except (SafetensorError, OSError) as reason:
         fault = " ".join(str(reason).split())[:200]
         raise error(f"{path}: not a readable safetensors file: {fault}") from reason
+
+
+def _restored(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Kernels that a compact copy stores as int8 and a scale per output channel, as float32."""
+    scales = {name for name in tensors if name.endswith(SCALE)}
+    return {
+        name: value.float() * tensors[name + SCALE] if name + SCALE in scales else value
+        for name, value in tensors.items()
+        if name not in scales
+    }
 
 
 def ordered(content: bytes) -> bytes:
