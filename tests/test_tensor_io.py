@@ -49,8 +49,8 @@ def test_compact_weights_come_back_nearly_and_take_a_third_of_the_bytes(tmp_path
     assert torch.equal(back["steps"], tensors["steps"])
     assert torch.equal(back["zero.weight"], tensors["zero.weight"])
     torch.testing.assert_close(back["map"].float(), tensors["map"], atol=1e-3, rtol=1e-3)
-    step = tensors["conv.weight"].abs().amax((1, 2, 3, 4), keepdim=True) / 127
-    assert ((back["conv.weight"] - tensors["conv.weight"]).abs() <= 0.501 * step).all()
+    step = tensors["conv.weight"].abs().amax((2, 3, 4), keepdim=True) / 127
+    assert ((back["conv.weight"] - tensors["conv.weight"]).abs() <= 0.51 * step).all()
     sizes = [(tmp_path / name).stat().st_size for name in ("small/a.safetensors", "a.safetensors")]
     assert sizes[0] < sizes[1] / 3
 

