@@ -18,7 +18,7 @@ from oes.objects import Objects
 PLANS = ((30, 1), (60, 10))
 NUM_OBJECTS = 2
 REPEATS = 50
-SEEN = InputSpec(
+INPUTS = InputSpec(
     crop_channels=11,
     crop_side=16,
     voxel_m=0.01,
@@ -28,7 +28,7 @@ SEEN = InputSpec(
 )
 
 
-def scene(seen: InputSpec) -> Objects:
+def scene(inputs: InputSpec) -> Objects:
     """One scene of two objects and one view."""
     shape = (1, NUM_OBJECTS)
     return Objects(
@@ -36,14 +36,14 @@ def scene(seen: InputSpec) -> Objects:
         size_N3=torch.full((*shape, 3), 0.08),
         score_N=torch.ones(shape),
         valid_N=torch.ones(shape, dtype=torch.bool),
-        crop_NCXYZ=torch.rand(*shape, seen.crop_channels, *[seen.crop_side] * 3),
+        crop_NCXYZ=torch.rand(*shape, inputs.crop_channels, *[inputs.crop_side] * 3),
         image_NV3HW=torch.zeros(
-            *shape, 1, 3, seen.image_side_px, seen.image_side_px, dtype=torch.uint8
+            *shape, 1, 3, inputs.image_side_px, inputs.image_side_px, dtype=torch.uint8
         ),
         camera_NV12=torch.zeros(*shape, 1, 12),
         view_NV=torch.ones(*shape, 1, dtype=torch.bool),
         radial_profile_NRD3=torch.tensor([0.035, 0.002, 1.0]).expand(
-            *shape, seen.profile_rows, seen.profile_directions, 3
+            *shape, inputs.profile_rows, inputs.profile_directions, 3
         ),
         com_offset_N3=torch.zeros(*shape, 3),
     )
@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--params", type=Path, default=Path("params.yaml"))
     cfg = load(parser.parse_args().params, "dynamics", DynamicsConfig).pushing
     torch.manual_seed(0)
-    objects = scene(SEEN)
+    objects = scene(INPUTS)
     print(
         f"{'model':<24}"
         + "".join(f"{f'{s}x{h} ms':>12}" for s, h in PLANS)
@@ -81,7 +81,7 @@ def main() -> None:
     )
     for word, kind in MODELS.items():
         if issubclass(kind, GraphModel):
-            model = kind(cfg.net, SEEN).eval()
+            model = kind(cfg.net, INPUTS).eval()
             print(
                 f"{word:<24}" + "".join(f"{plan_ms(model, objects, s, h):>12.1f}" for s, h in PLANS)
             )

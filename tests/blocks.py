@@ -50,14 +50,19 @@ def make_weights(folder: Path) -> None:
     roi = net.cfg.roi
     channels = 1 + NUM_SURFACE + net.cfg.map_features
     cylinder = net.cfg.surface.cylinder
-    seen = InputSpec(channels, roi.count, roi.voxel_m, IMAGE_PX, cylinder.rows, cylinder.directions)
+    inputs = InputSpec(
+        channels, roi.count, roi.voxel_m, IMAGE_PX, cylinder.rows, cylinder.directions
+    )
     for word, kind in (("oes", OES), ("graph_xyz", GraphXYZ)):
         (folder / "dynamics" / f"pushing-{word}").mkdir(parents=True)
         save_model(
             folder / "dynamics" / f"pushing-{word}",
-            kind(load(SMOKE, "dynamics", DynamicsConfig).pushing.net, seen),
+            kind(load(SMOKE, "dynamics", DynamicsConfig).pushing.net, inputs),
         )
-    frames, video = load(SMOKE, "overhead", OverheadConfig), load(SMOKE, "baselines", BaselinesConfig)
+    frames, video = (
+        load(SMOKE, "overhead", OverheadConfig),
+        load(SMOKE, "baselines", BaselinesConfig),
+    )
     for word, model in (
         ("visual_foresight", VisualForesight(video.visual_foresight.net)),
         ("planet", PlaNet(video.planet.net)),

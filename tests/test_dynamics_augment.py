@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from oes.dynamics.augment import Augment, DynamicsBatch, augment, transform_batch, turn_flip
+from oes.dynamics.augment import Augment, DynamicsBatch, augment, rotate_flip, transform_batch
 from oes.geom.camera import intrinsics, look_at, project
 from oes.geom.se3 import rigid, rotation_z
 from oes.objects import Objects
@@ -49,7 +49,7 @@ def test_nothing_happens_without_a_turn_or_shift() -> None:
     batch = make_batch(make_objects())
     same = augment(
         batch,
-        Augment(turn=False, mirror=False, shift_m=0.0),
+        Augment(rotate=False, mirror=False, shift_sigma_m=0.0),
         VOXEL_M,
         torch.Generator().manual_seed(0),
     )
@@ -62,7 +62,7 @@ def test_the_crop_turns_with_the_world_and_moves_against_the_shift() -> None:
     offset, shift = torch.tensor([0.03, -0.01, 0.02]), torch.tensor([0.01, 0.02, 0.0])
     objects = make_objects(scenes=2, num=1)
     objects = replace(objects, crop_NCXYZ=blob(offset).expand(2, 1, 1, 16, 16, 16))
-    M = turn_flip(torch.tensor([0.6, 2.0]), torch.tensor([False, True]))
+    M = rotate_flip(torch.tensor([0.6, 2.0]), torch.tensor([False, True]))
     found = transform_batch(make_batch(objects), M, shift.expand(2, 1, 3), VOXEL_M)
     for i in range(2):
         expected = M[i] @ (offset - shift)
@@ -79,7 +79,7 @@ def test_points_of_the_body_arrive_at_the_mapped_place() -> None:
     motion.
     """
     batch = make_batch(make_objects())
-    M = turn_flip(torch.tensor([0.6, 2.0, -1.0]), torch.tensor([False, True, True]))
+    M = rotate_flip(torch.tensor([0.6, 2.0, -1.0]), torch.tensor([False, True, True]))
     shift = torch.randn(3, 3, 3) * 0.01
     found = transform_batch(batch, M, shift, VOXEL_M)
     point = torch.tensor([0.02, -0.03, 0.05])
@@ -103,7 +103,7 @@ def test_mapped_cameras_see_the_mapped_world_in_the_flipped_image() -> None:
     rows = torch.from_numpy(world_T_cam[:3].reshape(12)).float()
     objects = replace(objects, camera_NV12=rows.expand(objects.camera_NV12.shape))
     flip = torch.tensor([False, True])
-    M = turn_flip(torch.tensor([0.6, 2.0]), flip)
+    M = rotate_flip(torch.tensor([0.6, 2.0]), flip)
     found = transform_batch(make_batch(objects), M, torch.zeros(2, 3, 3), VOXEL_M)
     point = np.array([[0.05, 0.1, 0.03]])
     (uv,), (depth,) = project(K, world_T_cam, point)

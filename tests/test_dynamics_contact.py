@@ -9,16 +9,21 @@ import torch
 from oes.dynamics.contact import Contact
 from oes.dynamics.encoders.surface_encoder import SurfaceEncoder
 from oes.dynamics.error_model import MIN_SIGMA_M, errors_and_spreads, fit_error_model
-from oes.dynamics.shapes import ShapeUncertainty, shapes_of, unpacked
-from oes.dynamics.unroll import initial_state, unroll_samples, teacher_forced, unroll
+from oes.dynamics.shapes import ShapeUncertainty, shapes_of, unpack_shapes
+from oes.dynamics.unroll import initial_state, teacher_forced, unroll, unroll_samples
 from oes.metrics.errors import error_nll, error_quantile
 from oes.mpc.search import Candidates
-from oes.objects import LAYERS, SUPPORT, Objects
+from oes.objects import LAYERS, SUPPORT, map_tensors
 from oes.trials.world_models import GraphWorldModel, StateEstimate
-from tests.test_dynamics_models import NET, SEEN, make_actions, make_model, make_objects
+from tests.test_dynamics_models import INPUTS, NET, make_actions, make_model, make_objects
 
-DOUBT = ShapeUncertainty(
-    draws=400, outline=1.0, waves=3, mass_m=0.002, log_mass=0.1, log_friction=0.2
+UNCERTAINTY = ShapeUncertainty(
+    num_samples=400,
+    radius_sigma=1.0,
+    harmonics=3,
+    com_sigma_m=0.002,
+    log_mass_sigma=0.1,
+    log_friction_sigma=0.2,
 )
 
 
@@ -26,10 +31,10 @@ def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_
     objects = make_objects()
     objects.radial_profile_NRD3[0, 0, 3, :, 2] = 0.05
     shapes = shapes_of(objects)
-    again = unpacked(shapes.packed(), SEEN.profile_rows, SEEN.profile_directions)
+    again = unpack_shapes(shapes.pack(), INPUTS.profile_rows, INPUTS.profile_directions)
     for name, value in vars(shapes).items():
         assert torch.equal(getattr(again, name), value), name
-    assert (shapes.radius_BNRK[0, 0, 3] == 0).all() and (shapes.radius_BNRK[0, 1] > 0).all()
+    assert (shapes.radius_BNRD[0, 0, 3] == 0).all() and (shapes.radius_BNRD[0, 1] > 0).all()
 
 
 def test_objects_stand_on_their_foot_or_where_none_is_seen_on_their_lowest_band() -> None:
@@ -40,7 +45,7 @@ def test_objects_stand_on_their_foot_or_where_none_is_seen_on_their_lowest_band(
     ) = 0.02, 0.03
     objects.radial_profile_NRD3[:, 1, SUPPORT, :, 2] = 0.05
     bodies = shapes_of(objects).bodies(objects.valid_N, 0.02)
-    away_BNM = (bodies.feet_BNM2 + bodies.mass_BN2[:, :, None]).norm(dim=-1)
+    away_BNM = (bodies.support_BNP2 + bodies.com_offset_BN2[:, :, None]).norm(dim=-1)
     torch.testing.assert_close(
         away_BNM, torch.tensor([0.02, 0.03])[None, :, None].expand(away_BNM.shape)
     )
@@ -48,16 +53,16 @@ def test_objects_stand_on_their_foot_or_where_none_is_seen_on_their_lowest_band(
 
 def test_draws_begin_with_the_objects_as_they_seem_and_vary_as_much_as_is_said() -> None:
     shapes = shapes_of(make_objects())
-    drawn = shapes.sample(DOUBT, torch.Generator().manual_seed(0))
-    first = {name: value[: len(shapes.heavy_BN)] for name, value in vars(drawn).items()}
+    drawn = shapes.sample(UNCERTAINTY, torch.Generator().manual_seed(0))
+    first = {name: value[: len(shapes.mass_factor_BN)] for name, value in vars(drawn).items()}
     for name, value in vars(shapes).items():
         torch.testing.assert_close(first[name], value)
-    by_draw = drawn.radius_BNRK.unflatten(0, (DOUBT.draws, -1)) - shapes.radius_BNRK
+    by_draw = drawn.radius_BNRD.unflatten(0, (UNCERTAINTY.num_samples, -1)) - shapes.radius_BNRD
     assert float(by_draw.std(0).mean()) == pytest.approx(0.002 * 2**0.5, rel=0.1), (
         "the Laplace law's own deviation"
     )
-    assert float(drawn.heavy_BN.log().std()) == pytest.approx(0.1, rel=0.1)
-    assert float(drawn.rough_BN.log().std()) == pytest.approx(0.2, rel=0.1)
+    assert float(drawn.mass_factor_BN.log().std()) == pytest.approx(0.1, rel=0.1)
+    assert float(drawn.friction_factor_BN.log().std()) == pytest.approx(0.2, rel=0.1)
     torch.testing.assert_close(by_draw[:, 0, 0], by_draw[:, 1, 2], msg="all objects are off alike")
 
 
@@ -68,7 +73,9 @@ def test_a_forecast_is_the_mean_of_its_futures_and_their_spread_its_doubt() -> N
         objects, center_N3=objects.center_N3 * torch.tensor([1.0, 1.0, 0.0]) + tip[:, None] * 0.5
     )
     model = make_model("contact", objects)
-    assert isinstance(model, Contact) and model.num_samples == NET.contact.doubt.draws == 3
+    assert (
+        isinstance(model, Contact) and model.num_samples == NET.contact.uncertainty.num_samples == 3
+    )
     found = unroll(model, objects, tip, actions)
     futures = [
         unroll_samples(
@@ -107,26 +114,30 @@ def test_what_nothing_touches_stays_whatever_the_graph_network_says() -> None:
     assert float((found - slid)[-1, 0].norm()) > 1e-3, "what slides is corrected"
 
 
-@pytest.mark.parametrize("futures, draws", [(1, 1), (2, 2), (100, 3)])
-def test_a_plan_meets_as_many_futures_as_asked_for_and_drawn(futures: int, draws: int) -> None:
+@pytest.mark.parametrize("wanted, used", [(1, 1), (2, 2), (100, 3)])
+def test_a_plan_is_predicted_with_as_many_samples_as_wanted_and_available(
+    wanted: int, used: int
+) -> None:
     objects = make_objects(scenes=1)
-    scene = Objects(**{name: value[0] for name, value in vars(objects).items()})
-    seen = StateEstimate(
+    scene = map_tensors(objects, lambda x: x[0])
+    estimate = StateEstimate(
         scene,
         scene.center_N3.double().numpy(),
         scene.size_N3.double().numpy(),
         np.ones(3, bool),
         None,
     )
-    proposals = Candidates(
+    candidates = Candidates(
         torch.zeros(10, 3), torch.tensor([0.03, 0.0, 0.0]).expand(10, 2, 3), torch.zeros(10, 1)
     )
-    mind = GraphWorldModel(make_model("contact", objects))
-    found, once = (mind.imagine(seen, np.zeros((1, 3)), proposals, count) for count in (futures, 1))
-    assert mind.draws_futures and found.draws == draws
-    assert found.position_STN3.shape == (draws * 10, 2, 3, 3)
+    model = GraphWorldModel(make_model("contact", objects))
+    found, once = (
+        model.predict(estimate, np.zeros((1, 3)), candidates, count) for count in (wanted, 1)
+    )
+    assert model.is_stochastic and found.num_samples == used
+    assert found.position_STN3.shape == (used * 10, 2, 3, 3)
     torch.testing.assert_close(
-        found.position_STN3[:10], once.position_STN3, msg="the first is of what is seen"
+        found.position_STN3[:10], once.position_STN3, msg="the first sample is the perceived scene"
     )
 
 
@@ -200,20 +211,20 @@ def test_points_know_how_far_they_are_above_and_below_another_object() -> None:
     aside by 20 mm.
     """
     objects = make_objects(scenes=1, num=2)
-    outline = torch.zeros(1, 2, SEEN.profile_rows, SEEN.profile_directions, 3)
+    outline = torch.zeros(1, 2, INPUTS.profile_rows, INPUTS.profile_directions, 3)
     outline[:, :, :6] = torch.tensor([0.03, 0.001, 1.0])
     size = torch.tensor([0.06, 0.06, 0.05]).expand(1, 2, 3)
     center = torch.tensor([[[0.0, 0.0, 0.025], [0.02, 0.0, 0.105]]])
     objects = replace(objects, center_N3=center, size_N3=size, radial_profile_NRD3=outline)
-    sight = SurfaceEncoder(replace(NET.contact.skin, rows=(3, 4, 5)), NET.graph.unit_m)
+    encoder = SurfaceEncoder(replace(NET.contact.surface_points, rows=(3, 4, 5)), NET.graph.unit_m)
     state, shapes = initial_state(center, objects.valid_N), shapes_of(objects)
-    first_BNP3, _, _, there_BNP = sight._points(shapes, torch.eye(3)[None], state.turned_BN33)
+    first_BNP3, _, _, there_BNP = encoder.points(shapes, state, torch.eye(3)[None])
     assert (there_BNP == 1).all()
     place_BNP3 = first_BNP3 + center[:, :, None]
     assert place_BNP3[0, :, :, 2].unique().tolist() == pytest.approx(
         [0.01, 0.03, 0.05, 0.09, 0.11, 0.13]
     )
-    numbers = sight._inside(shapes, state, place_BNP3, torch.eye(3)[None]) * NET.graph.unit_m
+    numbers = encoder.edge_inputs(shapes, state, place_BNP3, torch.eye(3)[None]) * NET.graph.unit_m
     above_P, below_P = numbers[0, 1, 0, :, 5], numbers[0, 0, 1, :, 6]
     near_P = place_BNP3[0, 1, :, 0].hypot(place_BNP3[0, 1, :, 1]) < 0.0299
     assert above_P[near_P].unique().tolist() == pytest.approx([0.03, 0.05, 0.07]), (

@@ -19,7 +19,7 @@ from oes.dynamics.checkpoint import (
     load_model,
     save_model,
 )
-from oes.dynamics.learn import build_model, training_examples
+from oes.dynamics.learn import build_model, resolve_model, training_examples
 from oes.dynamics.models import OES, GraphXYZ, GraphXYZImageFixed
 from oes.dynamics.reference_models import Simulator
 from oes.dynamics.train import TaskConfig, Variant
@@ -29,7 +29,7 @@ from oes.geom.se3 import transform
 from oes.objects import Objects
 from oes.training.checkpoint import TrainConfig
 from tests.factories import make_episode
-from tests.test_dynamics_models import NET, SEEN, make_actions, make_model, make_objects
+from tests.test_dynamics_models import INPUTS, NET, make_actions, make_model, make_objects
 
 FIT = TrainConfig(
     steps=6,
@@ -46,19 +46,19 @@ FIT = TrainConfig(
     seed=0,
 )
 CFG = TaskConfig(
-    draws={"random": ("train1", "train2"), "fixed": ("fixed",)},
+    observations={"random": ("train1", "train2"), "fixed": ("fixed",)},
     net=NET,
-    augment=Augment(turn=True, mirror=True, shift_m=0.004),
+    augment=Augment(rotate=True, mirror=True, shift_sigma_m=0.004),
     weights={"translation": 1.0, "rotation": 1.0},
-    soft=1e-4,
+    smoothing=1e-4,
     unroll=True,
-    held_out=0.25,
+    validation_share=0.25,
     voxel_m=0.01,
     fit=FIT,
-    fits={},
+    fit_overrides={},
     variants={
-        word: Variant(0, word != "contact_onestep", word != "contact_noaug", word == "contact_gt")
-        for word in VARIANTS
+        name: Variant(0, name != "contact_onestep", name != "contact_noaug", name == "contact_gt")
+        for name in VARIANTS
     },
 )
 SETTINGS = ("train1", "train2", "fixed")
@@ -97,7 +97,7 @@ def scenes() -> Scenes:
 
 def test_examples_hold_the_true_motion_of_the_perceived_point(scenes: Scenes) -> None:
     seen, data = training_examples(OES, CFG, scenes, scenes.episodes)
-    assert seen == SEEN
+    assert seen == INPUTS
     assert data.objects.crop_NCXYZ.shape == (12, 2, 2, 16, 16, 16)
     assert data.objects.image_NV3HW.shape[-1] == 1
     episode: Episode = scenes.episodes[1]
@@ -106,36 +106,41 @@ def test_examples_hold_the_true_motion_of_the_perceived_point(scenes: Scenes) ->
     at_body = transform(body_T_world, center[None])
     for t, step in enumerate(episode.steps[1:]):
         expected = transform(step.world_T_obj_N44[1], at_body)[0] - center
-        np.testing.assert_allclose(data.translation_DTN3[1, t, 1], expected, atol=1e-5)
+        np.testing.assert_allclose(data.translation_UTN3[1, t, 1], expected, atol=1e-5)
     assert not data.objects.valid_N[0, 1]
 
 
 def test_all_draws_of_an_episode_are_held_out_together(scenes: Scenes) -> None:
     _, data = training_examples(OES, CFG, scenes, scenes.episodes)
-    train_D, held_D = data.split(CFG.held_out)
-    train_episodes, held_episodes = (set(data.episode_D[d].tolist()) for d in (train_D, held_D))
+    train_U, validation_U = data.split(CFG.validation_share)
+    train_episodes, held_episodes = (
+        set(data.episode_U[d].tolist()) for d in (train_U, validation_U)
+    )
     assert held_episodes
     assert not train_episodes & held_episodes
-    assert len(train_D) + len(held_D) == 12
+    assert len(train_U) + len(validation_U) == 12
 
 
 def test_the_fixed_camera_has_draws_of_its_own(scenes: Scenes) -> None:
     _, data = training_examples(GraphXYZImageFixed, CFG, scenes, scenes.episodes)
-    assert len(data.tip_D3) == 6
+    assert len(data.tip_U3) == 6
     with pytest.raises(ValueError, match="fixed"):
         training_examples(
-            GraphXYZImageFixed, replace(CFG, draws={"random": ("train1",)}), scenes, scenes.episodes
+            GraphXYZImageFixed,
+            replace(CFG, observations={"random": ("train1",)}),
+            scenes,
+            scenes.episodes,
         )
 
 
 def test_missing_episodes_are_left_out(scenes: Scenes) -> None:
     _, data = training_examples(GraphXYZ, CFG, scenes, {i: scenes.episodes[i] for i in (0, 3)})
-    assert set(data.episode_D.tolist()) == {0, 3}
+    assert set(data.episode_U.tolist()) == {0, 3}
 
 
-@pytest.mark.parametrize("word", ["oes", "graph_xyz_image"])
-def test_a_trained_model_comes_back_from_disk(word: str, scenes: Scenes, tmp_path: Path) -> None:
-    model, log = build_model(word, CFG, scenes, scenes.episodes, tmp_path)
+@pytest.mark.parametrize("name", ["oes", "graph_xyz_image"])
+def test_a_trained_model_comes_back_from_disk(name: str, scenes: Scenes, tmp_path: Path) -> None:
+    model, log = build_model(resolve_model(name, CFG), scenes, scenes.episodes, tmp_path)
     assert log[-1]["step"] == CFG.fit.steps
     assert {"translation", "rotation", "mm_5", "deg_5"} <= set(log[-1])
     save_model(tmp_path, model)
@@ -148,17 +153,15 @@ def test_a_trained_model_comes_back_from_disk(word: str, scenes: Scenes, tmp_pat
 
 
 def test_training_again_gives_the_same_weights(scenes: Scenes, tmp_path: Path) -> None:
-    runs = []
+    spec, runs = resolve_model("graph_xyz", CFG), []
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        runs.append(
-            build_model("graph_xyz", CFG, scenes, scenes.episodes, tmp_path / name)[0].state_dict()
-        )
+        runs.append(build_model(spec, scenes, scenes.episodes, tmp_path / name)[0].state_dict())
     assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
 
 
 def test_the_simulator_takes_the_mean_of_all_bodies(scenes: Scenes, tmp_path: Path) -> None:
-    model, log = build_model("simulator", CFG, scenes, scenes.episodes, tmp_path)
+    model, log = build_model(resolve_model("simulator", CFG), scenes, scenes.episodes, tmp_path)
     save_model(tmp_path, model)
     again = load_any_model(tmp_path)
     assert isinstance(again, Simulator)
@@ -171,7 +174,9 @@ def test_the_simulator_takes_the_mean_of_all_bodies(scenes: Scenes, tmp_path: Pa
 
 
 def test_static_is_saved_and_forecasts_rest(scenes: Scenes, tmp_path: Path) -> None:
-    save_model(tmp_path, build_model("static", CFG, scenes, scenes.episodes, tmp_path)[0])
+    save_model(
+        tmp_path, build_model(resolve_model("static", CFG), scenes, scenes.episodes, tmp_path)[0]
+    )
     found = unroll(load_model(tmp_path), make_objects(), *make_actions())
     assert not found.translation_BTN3.any()
 
@@ -188,7 +193,7 @@ def test_a_loader_refuses_what_it_does_not_know(tmp_path: Path) -> None:
     save_file(
         {"x": torch.zeros(1)},
         tmp_path / MODEL_FILE,
-        {"format": "oes-dynamics-2", "model": "planet"},
+        {"format": "oes-dynamics-3", "model": "planet"},
     )
     with pytest.raises(ModelFileError, match="unknown model 'planet'"):
         load_any_model(tmp_path)
@@ -199,10 +204,10 @@ def test_a_loader_refuses_weights_that_do_not_fit_their_config(tmp_path: Path) -
     tensors = load_file(tmp_path / MODEL_FILE)
     wider = replace(NET, graph=replace(NET.graph, width=24))
     about = {
-        "format": "oes-dynamics-2",
+        "format": "oes-dynamics-3",
         "model": "graph_xyz",
         "net": to_json(wider),
-        "seen": to_json(SEEN),
+        "inputs": to_json(INPUTS),
     }
     save_file(tensors, tmp_path / MODEL_FILE, about)
     with pytest.raises(ModelFileError, match="do not fit"):

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from oes.dynamics import MODELS
-from oes.dynamics.augment import DynamicsBatch, transform_batch, turn_flip
+from oes.dynamics.augment import DynamicsBatch, rotate_flip, transform_batch
 from oes.dynamics.encoders.crop_encoder import CropConfig, CropEncoder, fold
 from oes.dynamics.encoders.surface_encoder import ContactConfig, SurfacePoints
-from oes.dynamics.graph import GraphConfig
+from oes.dynamics.graph import GraphConfig, TipMotion
 from oes.dynamics.loss import errors, loss_terms
 from oes.dynamics.models import OES, GraphModel, GraphXYZ, ImageEncoderConfig, InputSpec, NetConfig
 from oes.dynamics.reference_models import Static
@@ -20,18 +20,18 @@ from oes.dynamics.unroll import (
     DynamicsModel,
     advance_state,
     initial_state,
-    unroll_samples,
     unroll,
     unroll_mean,
+    unroll_samples,
 )
 from oes.objects import Objects
 
 NET = NetConfig(
-    graph=GraphConfig(width=16, layers=3, rounds=2, unit_m=0.05, spin=True),
+    graph=GraphConfig(width=16, layers=3, rounds=2, unit_m=0.05, angular_velocity=True),
     crop=CropConfig(
-        sight="slabs",
-        read=2,
-        slabs=2,
+        encoder="slabs",
+        num_channels=2,
+        num_slabs=2,
         channels=(4, 8, 8),
         width=16,
         cell_m=0.01,
@@ -39,21 +39,28 @@ NET = NetConfig(
     ),
     image=ImageEncoderConfig(channels=(4, 8), width=16),
     contact=ContactConfig(
-        skin=SurfacePoints(every=4, rows=(0, 1), band_m=0.02, width=8, layers=2),
+        surface_points=SurfacePoints(
+            direction_stride=4, rows=(0, 1), layer_height_m=0.02, width=8, mlp_layers=2
+        ),
         physics=ContactPhysics(
             step_s=0.2,
-            parts=4,
+            substeps=4,
             table_friction=0.4,
             rod_friction=0.24,
             object_friction=0.16,
-            spinning_m=0.001,
-            margin_m=0.002,
+            spinning_friction_m=0.001,
+            contact_margin_m=0.002,
             rod_radius_m=0.008,
-            tip_m=0.018,
-            rounds=2,
+            tip_height_m=0.018,
+            solver_iterations=2,
         ),
-        doubt=ShapeUncertainty(
-            draws=3, outline=1.0, waves=2, mass_m=0.002, log_mass=0.1, log_friction=0.1
+        uncertainty=ShapeUncertainty(
+            num_samples=3,
+            radius_sigma=1.0,
+            harmonics=2,
+            com_sigma_m=0.002,
+            log_mass_sigma=0.1,
+            log_friction_sigma=0.1,
         ),
         step_s=0.2,
         gt_surfaces=False,
@@ -64,16 +71,16 @@ FALLING, SURFACES_FALLING = (
     "contact falling",
 )  # the same models, reading what falls ask for
 LEARNED = [
-    *(word for word, kind in MODELS.items() if issubclass(kind, GraphModel)),
+    *(name for name, kind in MODELS.items() if issubclass(kind, GraphModel)),
     FALLING,
     SURFACES_FALLING,
 ]
 FORECASTERS = [
-    *(word for word, kind in MODELS.items() if issubclass(kind, DynamicsModel)),
+    *(name for name, kind in MODELS.items() if issubclass(kind, DynamicsModel)),
     FALLING,
     SURFACES_FALLING,
 ]
-SEEN = InputSpec(
+INPUTS = InputSpec(
     crop_channels=2,
     crop_side=16,
     voxel_m=0.01,
@@ -105,10 +112,10 @@ def make_objects(scenes: int = 3, num: int = 3, seed: int = 0) -> Objects:
 
 def make_outlines(scenes: int, num: int, g: torch.Generator) -> Tensor:
     """Ellipses 3 to 4 cm in radius at every height."""
-    angle_K = torch.arange(32) * (2 * torch.pi / 32)
+    angle_D = torch.arange(32) * (2 * torch.pi / 32)
     waist = torch.rand(scenes, num, 1, 1, generator=g) * 0.01
-    radius = 0.03 + waist * (angle_K + torch.rand(scenes, num, 1, 1, generator=g)).cos().square()
-    radius = radius.expand(-1, -1, SEEN.profile_rows, -1)
+    radius = 0.03 + waist * (angle_D + torch.rand(scenes, num, 1, 1, generator=g)).cos().square()
+    radius = radius.expand(-1, -1, INPUTS.profile_rows, -1)
     return torch.stack([radius, torch.full_like(radius, 0.002), torch.ones_like(radius)], -1)
 
 
@@ -119,15 +126,19 @@ def make_actions(scenes: int = 3, steps: int = 5) -> tuple[Tensor, Tensor]:
     return torch.randn(scenes, 3, generator=g) * 0.1, actions
 
 
-def make_model(word: str, objects: Objects) -> DynamicsModel:
+def make_model(name: str, objects: Objects) -> DynamicsModel:
     torch.manual_seed(1)
-    kind = MODELS[word.removesuffix(" falling")]
-    falling = replace(NET.contact, skin=replace(NET.contact.skin, rows=(3, 4)), physics=None)
-    is_falling = word in (FALLING, SURFACES_FALLING)
-    net = (
-        replace(NET, crop=replace(NET.crop, sight="relief"), contact=falling) if is_falling else NET
+    kind = MODELS[name.removesuffix(" falling")]
+    falling = replace(
+        NET.contact, surface_points=replace(NET.contact.surface_points, rows=(3, 4)), physics=None
     )
-    model = kind(net, SEEN) if issubclass(kind, GraphModel) else kind()
+    is_falling = name in (FALLING, SURFACES_FALLING)
+    net = (
+        replace(NET, crop=replace(NET.crop, encoder="heightmap"), contact=falling)
+        if is_falling
+        else NET
+    )
+    model = kind(net, INPUTS) if issubclass(kind, GraphModel) else kind()
     assert isinstance(model, DynamicsModel)
     return model.eval()
 
@@ -137,10 +148,10 @@ def only(objects: Objects, index: Tensor) -> Objects:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("word", FORECASTERS)
-def test_permuting_objects_permutes_the_forecast(word: str) -> None:
+@pytest.mark.parametrize("name", FORECASTERS)
+def test_permuting_objects_permutes_the_forecast(name: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
-    model, order = make_model(word, objects), torch.tensor([2, 0, 1])
+    model, order = make_model(name, objects), torch.tensor([2, 0, 1])
     found, permuted = (
         unroll(model, objects, tip, actions),
         unroll(model, only(objects, order), tip, actions),
@@ -151,13 +162,13 @@ def test_permuting_objects_permutes_the_forecast(word: str) -> None:
 
 @torch.no_grad()
 @pytest.mark.parametrize(
-    "word", [word for word in LEARNED if not word.startswith("contact")]
+    "name", [name for name in LEARNED if not name.startswith("contact")]
 )  # it learns mirror images instead
-def test_a_mirrored_scene_gets_the_mirrored_forecast(word: str) -> None:
+def test_a_mirrored_scene_gets_the_mirrored_forecast(name: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
-    model = make_model(word, objects)
+    model = make_model(name, objects)
     here = unroll(model, objects, tip, actions)
-    turn = turn_flip(torch.tensor([0.0, torch.pi, torch.pi / 2]), torch.ones(3, dtype=torch.bool))
+    turn = rotate_flip(torch.tensor([0.0, torch.pi, torch.pi / 2]), torch.ones(3, dtype=torch.bool))
     there = transform_batch(
         DynamicsBatch(objects, tip, actions, here.translation_BTN3, here.rotation_BTN33),
         turn,
@@ -166,7 +177,7 @@ def test_a_mirrored_scene_gets_the_mirrored_forecast(word: str) -> None:
     )
     found = unroll(model, there.objects, there.tip_B3, there.actions_BT3)
     same = (
-        slice(0, 1) if word.startswith("graph_xyz_image") else slice(None)
+        slice(0, 1) if name.startswith("graph_xyz_image") else slice(None)
     )  # it sees the cameras' world axes
     torch.testing.assert_close(
         found.translation_BTN3[same], there.translation_BTN3[same], atol=1e-5, rtol=1e-3
@@ -177,10 +188,10 @@ def test_a_mirrored_scene_gets_the_mirrored_forecast(word: str) -> None:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("word", FORECASTERS)
-def test_the_forecast_does_not_depend_on_where_the_table_is(word: str) -> None:
+@pytest.mark.parametrize("name", FORECASTERS)
+def test_the_forecast_does_not_depend_on_where_the_table_is(name: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
-    model, along = make_model(word, objects), torch.tensor([0.3, -0.2, 0.0])
+    model, along = make_model(name, objects), torch.tensor([0.3, -0.2, 0.0])
     found = unroll(model, objects, tip, actions)
     there = unroll(
         model, replace(objects, center_N3=objects.center_N3 + along), tip + along, actions
@@ -190,10 +201,10 @@ def test_the_forecast_does_not_depend_on_where_the_table_is(word: str) -> None:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("word", LEARNED)
-def test_padded_objects_change_nothing(word: str) -> None:
+@pytest.mark.parametrize("name", LEARNED)
+def test_padded_objects_change_nothing(name: str) -> None:
     objects, (tip, actions) = make_objects(num=2), make_actions()
-    model, padded = make_model(word, objects), make_objects(num=3, seed=5)
+    model, padded = make_model(name, objects), make_objects(num=3, seed=5)
     padded = Objects(
         **{k: torch.cat([v, getattr(padded, k)[:, 2:]], 1) for k, v in vars(objects).items()}
     )
@@ -204,11 +215,11 @@ def test_padded_objects_change_nothing(word: str) -> None:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("word", FORECASTERS)
-def test_where_no_object_is_nothing_is_forecast(word: str) -> None:
+@pytest.mark.parametrize("name", FORECASTERS)
+def test_where_no_object_is_nothing_is_forecast(name: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     found = unroll(
-        make_model(word, objects), only(objects, torch.tensor([], dtype=torch.long)), tip, actions
+        make_model(name, objects), only(objects, torch.tensor([], dtype=torch.long)), tip, actions
     )
     assert found.translation_BTN3.shape == (3, 5, 0, 3) and found.rotation_BTN33.shape == (
         3,
@@ -220,33 +231,35 @@ def test_where_no_object_is_nothing_is_forecast(word: str) -> None:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("word", FORECASTERS)
-def test_unrolling_is_repeated_stepping(word: str) -> None:
+@pytest.mark.parametrize("name", FORECASTERS)
+def test_unrolling_is_repeated_stepping(name: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
-    model = make_model(word, objects)
+    model = make_model(name, objects)
     appearance, state = model.appearance(objects), initial_state(objects.center_N3, objects.valid_N)
     found = unroll_samples(model, appearance, state, tip, actions)
     for t, action in enumerate(actions.unbind(1)):
-        state = advance_state(state, model(appearance, state, tip + actions[:, :t].sum(1), action))
-        torch.testing.assert_close(found.translation_BTN3[:, t], state.moved_BN3)
-        torch.testing.assert_close(found.rotation_BTN33[:, t], state.turned_BN33)
+        state = advance_state(
+            state, model(appearance, state, TipMotion(tip + actions[:, :t].sum(1), action))
+        )
+        torch.testing.assert_close(found.translation_BTN3[:, t], state.displacement_BN3)
+        torch.testing.assert_close(found.rotation_BTN33[:, t], state.rotation_BN33)
     torch.testing.assert_close(state.center_BN3, objects.center_N3 + found.translation_BTN3[:, -1])
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("word", LEARNED)
-def test_rotations_stay_rotations(word: str) -> None:
+@pytest.mark.parametrize("name", LEARNED)
+def test_rotations_stay_rotations(name: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions(steps=10)
-    R = unroll(make_model(word, objects), objects, tip, actions).rotation_BTN33
+    R = unroll(make_model(name, objects), objects, tip, actions).rotation_BTN33
     torch.testing.assert_close(
         R @ R.transpose(-1, -2), torch.eye(3).expand_as(R), atol=1e-5, rtol=0
     )
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("word", FORECASTERS)
-def test_without_a_robot_there_is_a_forecast_too(word: str) -> None:
-    objects, model = make_objects(), make_model(word, make_objects())
+@pytest.mark.parametrize("name", FORECASTERS)
+def test_without_a_robot_there_is_a_forecast_too(name: str) -> None:
+    objects, model = make_objects(), make_model(name, make_objects())
     found = unroll(model, objects, torch.full((3, 3), torch.nan), torch.zeros(3, 5, 3))
     assert found.translation_BTN3.isfinite().all() and found.rotation_BTN33.isfinite().all()
 
@@ -274,10 +287,12 @@ def test_a_turned_object_is_met_in_its_own_axes() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model("oes", objects)
     appearance, state = model.appearance(objects), initial_state(objects.center_N3, objects.valid_N)
-    turn = turn_flip(torch.full((3,), 0.7), torch.zeros(3, dtype=torch.bool))
+    turn = rotate_flip(torch.full((3,), 0.7), torch.zeros(3, dtype=torch.bool))
     here = unroll_mean(model, appearance, state, tip, actions)
     turned_state = replace(
-        state, center_BN3=state.center_BN3 @ turn.mT, turned_BN33=turn[:, None] @ state.turned_BN33
+        state,
+        center_BN3=state.center_BN3 @ turn.mT,
+        rotation_BN33=turn[:, None] @ state.rotation_BN33,
     )
     there = unroll_mean(
         model, appearance, turned_state, (turn @ tip[..., None])[..., 0], actions @ turn.mT
@@ -290,9 +305,9 @@ def test_a_turned_object_is_met_in_its_own_axes() -> None:
 def test_the_rotation_loss_is_half_the_angle_for_small_angles() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     rest = unroll(Static(), objects, tip, actions)
-    turn = turn_flip(torch.full((3,), 0.1), torch.zeros(3, dtype=torch.bool))[:, None, None].expand(
-        3, 5, 3, 3, 3
-    )
+    turn = rotate_flip(torch.full((3,), 0.1), torch.zeros(3, dtype=torch.bool))[
+        :, None, None
+    ].expand(3, 5, 3, 3, 3)
     truth = DynamicsBatch(objects, tip, actions, rest.translation_BTN3 + 0.05 / 3**0.5, turn)
     terms = loss_terms(rest, truth, 0.05, 1e-4)
     assert float(terms["rotation"]) == pytest.approx(0.05, rel=0.01)
@@ -302,8 +317,8 @@ def test_the_rotation_loss_is_half_the_angle_for_small_angles() -> None:
     assert watched["deg_1"] == pytest.approx(5.7296, rel=1e-3)
 
 
-@pytest.mark.parametrize("word", LEARNED)
-def test_every_model_can_learn_one_episode(word: str) -> None:
+@pytest.mark.parametrize("name", LEARNED)
+def test_every_model_can_learn_one_episode(name: str) -> None:
     objects, tip, actions = (
         make_objects(scenes=1, num=1),
         torch.zeros(1, 3),
@@ -312,8 +327,8 @@ def test_every_model_can_learn_one_episode(word: str) -> None:
     objects = replace(
         objects, center_N3=torch.tensor([[[0.05, 0.0, 0.04]]])
     )  # before the rod, or nothing slides
-    model = make_model(word, objects).train()
-    turn = turn_flip(torch.linspace(0.1, 0.5, 5), torch.zeros(5, dtype=torch.bool))[
+    model = make_model(name, objects).train()
+    turn = rotate_flip(torch.linspace(0.1, 0.5, 5), torch.zeros(5, dtype=torch.bool))[
         None, :, None, :, :
     ]
     truth = DynamicsBatch(
@@ -336,7 +351,7 @@ def test_every_model_can_learn_one_episode(word: str) -> None:
 
 def test_models_share_one_graph_network() -> None:
     """The baselines differ from ours in their inputs only (appendix C.2)."""
-    ours, theirs = (kind(NET, SEEN).graph for kind in (OES, GraphXYZ))
+    ours, theirs = (kind(NET, INPUTS).graph for kind in (OES, GraphXYZ))
     assert [type(m) for m in ours.modules()] == [type(m) for m in theirs.modules()]
 
 
@@ -351,27 +366,25 @@ def test_windows_show_objects_where_they_are_now() -> None:
     """A block ahead of an object's centre at first; then the object is turned by 90 degrees, and
     the tip passes it.
     """
-    sight = CropEncoder(NET.crop, 2, 16, 0.16)
+    encoder = CropEncoder(NET.crop, 2, 16, 0.16)
     slabs = torch.zeros(1, 2, 2, 16, 16)
     slabs[0, 0, :, 8:12, 7:9] = 1
-    turn = turn_flip(torch.tensor([torch.pi / 2]), torch.tensor([False]))
+    turn = rotate_flip(torch.tensor([torch.pi / 2]), torch.tensor([False]))
     state = initial_state(
         torch.tensor([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]]), torch.ones(1, 2, dtype=torch.bool)
     )
-    state = replace(state, turned_BN33=turn[:, None].expand(1, 2, 3, 3))
+    state = replace(state, rotation_BN33=turn[:, None].expand(1, 2, 3, 3))
     shapes = (slabs, state.center_BN3, torch.full((1, 2), torch.pi / 2))
     world_P3 = torch.tensor(
         [[0.0, 0.02, 0.0], [0.02, 0.0, 0.0], [0.0, -0.02, 0.0], [0.0, 0.035, 0.0]]
     )
-    seen = sight._look(shapes, world_P3.repeat(64, 1).expand(1, 2, 256, 3))[0, 0, 0].flatten()[:4]
+    seen = encoder.sample(shapes, world_P3.repeat(64, 1).expand(1, 2, 256, 3))[0, 0, 0].flatten()[
+        :4
+    ]
     torch.testing.assert_close(seen, torch.tensor([1.0, 0.0, 0.0, 1.0]), atol=1e-4, rtol=0)
-    full = sight(slabs, state, torch.tensor([[-0.05, 0.0, 0.0]]), torch.tensor([[0.05, 0.0, 0.0]]))
-    bare = sight(
-        torch.zeros_like(slabs),
-        state,
-        torch.tensor([[-0.05, 0.0, 0.0]]),
-        torch.tensor([[0.05, 0.0, 0.0]]),
-    )
-    assert not torch.equal(full.path_BNC[:, 0], bare.path_BNC[:, 0])
-    torch.testing.assert_close(full.own_BNC[:, 1], bare.own_BNC[:, 1])
-    assert not torch.equal(full.pair_BNNC[0, 1, 0], bare.pair_BNNC[0, 1, 0])
+    tip = TipMotion(torch.tensor([[-0.05, 0.0, 0.0]]), torch.tensor([[0.05, 0.0, 0.0]]))
+    full = encoder(slabs, state, tip)
+    bare = encoder(torch.zeros_like(slabs), state, tip)
+    assert not torch.equal(full.agent_BNC[:, 0], bare.agent_BNC[:, 0])
+    torch.testing.assert_close(full.node_BNC[:, 1], bare.node_BNC[:, 1])
+    assert not torch.equal(full.edge_BNNC[0, 1, 0], bare.edge_BNNC[0, 1, 0])

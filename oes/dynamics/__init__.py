@@ -1,5 +1,7 @@
-"""Object dynamics: a graph network unrolled through time, what it is compared with, and its
-training.
+"""Object dynamics: models that forecast motion from perceived objects, and their training.
+
+May import ``config``, ``geom``, ``objects``, ``metrics`` and ``training``; never the simulator or
+the renderer. Start with ``unroll`` (the interface of all models), then ``graph`` and ``models``.
 """
 
 from torch import nn
@@ -21,4 +23,4 @@ MODELS: dict[str, type[nn.Module]] = {
 VARIANTS = dict.fromkeys(
     ("contact_gt", "contact_noaug", "contact_onestep", "contact_100", "contact_300"), "contact"
 )
-"""Models of ``MODELS`` trained otherwise, for the ablations, by word."""
+"""Ablations: models of ``MODELS`` under other training settings, by name."""

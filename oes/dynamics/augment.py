@@ -1,8 +1,6 @@
-"""Symmetries of a table top: a turn about the vertical, a mirror image, and the choice of reference
-point.
+"""Augmentation by symmetries of a table top: rotation, mirroring, choice of reference points.
 
-Each acts on everything a model sees and everything it must forecast, so that a scene stays a true
-scene.
+Each maps everything that a model sees and everything that it must forecast.
 """
 
 from dataclasses import dataclass, replace
@@ -12,30 +10,28 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from oes.config import params
+from oes.dynamics.graph import yaw_rotation
 from oes.geom.polar import directions, radius_in
 from oes.objects import Objects
 
-HALF = 0.5
+MIRROR_PROBABILITY = 0.5
 CAMERA_MIRROR = (-1.0, 1.0, 1.0)
 
 
 @params
 class Augment:
-    """Whether to turn and to mirror scenes, and the standard deviation of the shift of reference
-    points.
-    """
+    """Whether to rotate and mirror scenes; standard deviation of reference points' shifts."""
 
-    turn: bool
+    rotate: bool
     mirror: bool
-    shift_m: float
+    shift_sigma_m: float
 
 
 @dataclass(frozen=True)
 class DynamicsBatch:
-    """B scenes and their true futures; world frame, metres. ``objects`` carries a leading B.
+    """B scenes and their true futures, in world axes and metres; ``objects`` carry a leading B.
 
-    The futures are of the perceived reference point (``objects.center``) as if fixed to the true
-    body.
+    The futures are of the perceived reference points, as if fixed to the true bodies.
     """
 
     objects: Objects
@@ -48,134 +44,120 @@ class DynamicsBatch:
 def augment(
     batch: DynamicsBatch, cfg: Augment, voxel_m: float, generator: torch.Generator
 ) -> DynamicsBatch:
-    """A random turn and mirror of every scene, a random horizontal shift (at most two sd) of every
-    reference point.
-    """
+    """Rotate and mirror every scene, and shift every reference point horizontally, at random."""
     scenes = len(batch.tip_B3)
-    angle_B = torch.rand(scenes, generator=generator) * 2 * torch.pi * cfg.turn
-    flip_B = (torch.rand(scenes, generator=generator) < HALF) & cfg.mirror
-    shift_BN3 = (
-        torch.randn(batch.objects.center_N3.shape, generator=generator).clamp(-2, 2) * cfg.shift_m
-    )
+    angle_B = torch.rand(scenes, generator=generator) * 2 * torch.pi * cfg.rotate
+    flip_B = (torch.rand(scenes, generator=generator) < MIRROR_PROBABILITY) & cfg.mirror
+    normal_BN3 = torch.randn(batch.objects.center_N3.shape, generator=generator)
+    # Clamped at two standard deviations: a reference point far outside its object never occurs.
+    shift_BN3 = normal_BN3.clamp(-2, 2) * cfg.shift_sigma_m
     shift_BN3[..., 2] = 0
-    return transform_batch(batch, turn_flip(angle_B, flip_B), shift_BN3, voxel_m)
+    return transform_batch(batch, rotate_flip(angle_B, flip_B), shift_BN3, voxel_m)
 
 
-def turn_flip(angle_B: Tensor, flip_B: Tensor) -> Tensor:
-    """Matrices B33: reflect y where ``flip_B``, then turn by ``angle_B`` (radians) about the
-    vertical.
-    """
-    cos, sin, zero, one = (
-        angle_B.cos(),
-        angle_B.sin(),
-        torch.zeros_like(angle_B),
-        torch.ones_like(angle_B),
+def rotate_flip(angle_B: Tensor, flip_B: Tensor) -> Tensor:
+    """Matrices B33: reflect y where ``flip_B``, then rotate by ``angle_B`` about the vertical."""
+    one_B = torch.ones_like(angle_B)
+    return (
+        yaw_rotation(angle_B)
+        * torch.stack([one_B, torch.where(flip_B, -1.0, one_B), one_B], -1)[:, None]
     )
-    sign = torch.where(flip_B, -one, one)
-    return torch.stack(
-        [cos, -sin * sign, zero, sin, cos * sign, zero, zero, zero, one], -1
-    ).reshape(-1, 3, 3)
 
 
 def transform_batch(
     batch: DynamicsBatch, new_M_old_B33: Tensor, shift_BN3: Tensor, voxel_m: float
 ) -> DynamicsBatch:
-    """Shift the reference points (old axes, horizontal), then map the world by ``new_M_old_B33`` of
-    ``turn_flip``.
+    """Shift the reference points (old axes, horizontally), then map the world by ``new_M_old``.
 
-    A rotation R becomes M R M'; the future of a shifted point is that of the body it is fixed to.
+    A rotation R becomes M R M'; a shifted reference point stays fixed to its body.
     """
-    M, back_B33 = new_M_old_B33, new_M_old_B33.transpose(-1, -2)
-    R = batch.rotation_BTN33
-    translation = (
-        batch.translation_BTN3 + (R @ shift_BN3[:, None, ..., None])[..., 0] - shift_BN3[:, None]
-    )
+    M_B33, back_B33 = new_M_old_B33, new_M_old_B33.mT
+    R_BTN33, shift_B1N3 = batch.rotation_BTN33, shift_BN3[:, None]
+    rotated_BTN3 = (R_BTN33 @ shift_B1N3[..., None])[..., 0]
+    translation_BTN3 = batch.translation_BTN3 + rotated_BTN3 - shift_B1N3
     return DynamicsBatch(
-        objects=transform_objects(batch.objects, M, shift_BN3, voxel_m),
+        objects=transform_objects(batch.objects, M_B33, shift_BN3, voxel_m),
         tip_B3=(batch.tip_B3[:, None] @ back_B33)[:, 0],
         actions_BT3=batch.actions_BT3 @ back_B33,
-        translation_BTN3=translation @ back_B33[:, None],
-        rotation_BTN33=M[:, None, None] @ R @ back_B33[:, None, None],
+        translation_BTN3=translation_BTN3 @ back_B33[:, None],
+        rotation_BTN33=M_B33[:, None, None] @ R_BTN33 @ back_B33[:, None, None],
     )
 
 
 def transform_objects(
-    seen: Objects, new_M_old_B33: Tensor, shift_BN3: Tensor, voxel_m: float
+    objects: Objects, new_M_old_B33: Tensor, shift_BN3: Tensor, voxel_m: float
 ) -> Objects:
-    """The objects (leading B) of ``transform_batch``: everything that a model sees of them."""
-    M = new_M_old_B33
-    flip_B = torch.linalg.det(M) < 0
+    """Batched objects as ``transform_batch`` maps them."""
+    M_B33 = new_M_old_B33
+    flip_B = torch.linalg.det(M_B33) < 0
+    image = objects.image_NV3HW
     return replace(
-        seen,
-        center_N3=(seen.center_N3 + shift_BN3) @ M.mT,
-        crop_NCXYZ=_resampled(seen.crop_NCXYZ, M, shift_BN3 / voxel_m),
-        image_NV3HW=torch.where(
-            flip_B[:, None, None, None, None, None], seen.image_NV3HW.flip(-1), seen.image_NV3HW
-        ),
-        camera_NV12=_cameras(seen.camera_NV12, M, flip_B),
-        radial_profile_NRD3=_outlines(seen.radial_profile_NRD3, M, shift_BN3),
-        com_offset_N3=(seen.com_offset_N3 - shift_BN3) @ M.mT,
+        objects,
+        center_N3=(objects.center_N3 + shift_BN3) @ M_B33.mT,
+        crop_NCXYZ=_transform_crops(objects.crop_NCXYZ, M_B33, shift_BN3 / voxel_m),
+        image_NV3HW=torch.where(flip_B[:, None, None, None, None, None], image.flip(-1), image),
+        camera_NV12=_transform_cameras(objects.camera_NV12, M_B33, flip_B),
+        radial_profile_NRD3=_transform_profiles(objects.radial_profile_NRD3, M_B33, shift_BN3),
+        com_offset_N3=(objects.com_offset_N3 - shift_BN3) @ M_B33.mT,
     )
 
 
-def _outlines(outline_BNRK3: Tensor, M_B33: Tensor, shift_BN3: Tensor) -> Tensor:
-    """Outlines around the shifted points in the mapped world: where the line from there in each new
-    direction meets the old outline is found by two steps of a fixed point, exact for a shift of
-    nothing.
+def _transform_profiles(profile_BNRD3: Tensor, M_B33: Tensor, shift_BN3: Tensor) -> Tensor:
+    """Profiles around the shifted reference points in the mapped world.
+
+    For each new direction, the intersection of the ray from the shifted point with the old profile
+    is found by two fixed-point iterations on its old direction; exact for a shift of 0.
     """
-    batch, num, rows, count, _ = outline_BNRK3.shape
-    wanted_BK2 = directions(count) @ M_B33[:, :2, :2]
-    flat_PRKC = outline_BNRK3.flatten(0, 1).movedim(-1, 1).flatten(1, 2)
-    wanted_PK2 = wanted_BK2[:, None].expand(-1, num, -1, -1).flatten(0, 1)
-    shift_P12 = shift_BN3[..., :2].reshape(-1, 1, 2)
-    band_RK = torch.arange(3 * rows)[:, None].expand(-1, count)
-    toward_PRK2 = wanted_PK2[:, None].expand(-1, rows, -1, -1)
+    batch, num, rows, count, _ = profile_BNRD3.shape
+    new_BD2 = directions(count) @ M_B33[:, :2, :2]
+    # P flattens B and N; radius, scale and probability become 3R rows of one function of direction.
+    new_PD2 = new_BD2[:, None].expand(-1, num, -1, -1).flatten(0, 1)
+    profile_PCD = profile_BNRD3.flatten(0, 1).movedim(-1, 1).flatten(1, 2)
+    shift_P112 = shift_BN3[..., :2].reshape(-1, 1, 1, 2)
+    old_PRD2 = new_PD2[:, None].expand(-1, rows, -1, -1)
     for _ in range(2):
-        radius_PRK = _read(flat_PRKC, band_RK[:rows], toward_PRK2)
-        met_PRK2 = radius_PRK[..., None] * toward_PRK2 - shift_P12[:, None]
-        miss_PRK2 = wanted_PK2[:, None] * met_PRK2.norm(dim=-1, keepdim=True) - met_PRK2
-        aim_PRK2 = toward_PRK2 * radius_PRK.clamp(min=1e-3)[..., None] + miss_PRK2
-        toward_PRK2 = aim_PRK2 / aim_PRK2.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-    radius_PRK = _read(flat_PRKC, band_RK[:rows], toward_PRK2)
-    met_PRK = (radius_PRK[..., None] * toward_PRK2 - shift_P12[:, None]).norm(dim=-1)
-    others = [_read(flat_PRKC, band_RK[i * rows : (i + 1) * rows], toward_PRK2) for i in (1, 2)]
-    moved = torch.stack([torch.where(radius_PRK > 0, met_PRK, radius_PRK), *others], -1)
-    return moved.reshape(batch, num, rows, count, 3)
+        radius_PRD = _interpolate(profile_PCD, 0, old_PRD2)
+        hit_PRD2 = radius_PRD[..., None] * old_PRD2 - shift_P112
+        miss_PRD2 = new_PD2[:, None] * hit_PRD2.norm(dim=-1, keepdim=True) - hit_PRD2
+        aim_PRD2 = old_PRD2 * radius_PRD.clamp(min=1e-3)[..., None] + miss_PRD2
+        old_PRD2 = aim_PRD2 / aim_PRD2.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    radius_PRD = _interpolate(profile_PCD, 0, old_PRD2)
+    hit_PRD = (radius_PRD[..., None] * old_PRD2 - shift_P112).norm(dim=-1)
+    radius_PRD = torch.where(radius_PRD > 0, hit_PRD, radius_PRD)
+    others = [_interpolate(profile_PCD, first, old_PRD2) for first in (rows, 2 * rows)]
+    return torch.stack([radius_PRD, *others], -1).reshape(batch, num, rows, count, 3)
 
 
-def _read(flat_PCK: Tensor, band_RK: Tensor, toward_PRK2: Tensor) -> Tensor:
-    """Values PRK of some rows of stacked functions of direction."""
-    band_PQ = band_RK.flatten().expand(len(flat_PCK), -1)
-    return radius_in(flat_PCK, band_PQ, toward_PRK2.flatten(1, 2)).reshape(toward_PRK2.shape[:-1])
+def _interpolate(profile_PCD: Tensor, first_row: int, direction_PRD2: Tensor) -> Tensor:
+    """Values PRD of the R rows from ``first_row`` on, in directions of their own."""
+    rows, count = direction_PRD2.shape[1:3]
+    row_PQ = torch.arange(first_row, first_row + rows).repeat_interleave(count)
+    found_PQ = radius_in(
+        profile_PCD, row_PQ.expand(len(profile_PCD), -1), direction_PRD2.flatten(1, 2)
+    )
+    return found_PQ.reshape(direction_PRD2.shape[:-1])
 
 
-def _cameras(camera_BNV12: Tensor, M_B33: Tensor, flip_B: Tensor) -> Tensor:
-    """Poses of the cameras that see the mapped world; a mirrored world is seen by cameras with x of
-    cam reflected.
-    """
-    world_T_cam = M_B33[:, None, None] @ camera_BNV12.reshape(*camera_BNV12.shape[:-1], 3, 4)
+def _transform_cameras(camera_BNV12: Tensor, M_B33: Tensor, flip_B: Tensor) -> Tensor:
+    """Poses of cameras that see the mapped world; mirrored cameras have their x axis reflected."""
+    world_T_cam = M_B33[:, None, None] @ torch.unflatten(camera_BNV12, -1, (3, 4))
     mirror_4 = torch.tensor([*CAMERA_MIRROR, 1.0], device=flip_B.device)
     sign_B4 = torch.where(flip_B[:, None], mirror_4, torch.ones_like(mirror_4))
     return (world_T_cam * sign_B4[:, None, None, None]).flatten(-2)
 
 
-def _resampled(crop_BNCXYZ: Tensor, M_B33: Tensor, shift_voxels_BN3: Tensor) -> Tensor:
-    """Crops of the mapped world around the shifted points: bilinear in x and y, which mix; z stays
-    as it is.
-    """
+def _transform_crops(crop_BNCXYZ: Tensor, M_B33: Tensor, shift_voxels_BN3: Tensor) -> Tensor:
+    """Crops of the mapped world around the shifted points: bilinear in x and y, z unchanged."""
     if crop_BNCXYZ.numel() == 0:
         return crop_BNCXYZ
-    scenes, num, channels, side = crop_BNCXYZ.shape[:4]
+    side = crop_BNCXYZ.shape[3]
     line = torch.arange(side, device=M_B33.device) + 0.5 - side / 2
     new_XY2 = torch.stack(torch.meshgrid(line, line, indexing="ij"), -1)
-    old_BNXY2 = (new_XY2.flatten(0, 1) @ M_B33[:, :2, :2])[:, None] + shift_voxels_BN3[
-        :, :, None, :2
-    ]
-    grid_PXY2 = old_BNXY2.flip(-1).reshape(scenes * num, side, side, 2) * (2 / side)
-    planes = crop_BNCXYZ.permute(0, 1, 2, 5, 3, 4).reshape(
-        scenes * num, channels * side, side, side
-    )
-    planes = F.grid_sample(
-        planes, grid_PXY2, mode="bilinear", padding_mode="zeros", align_corners=False
-    )
-    return planes.reshape(scenes, num, channels, side, side, side).permute(0, 1, 2, 4, 5, 3)
+    old_B1Q2 = (new_XY2.flatten(0, 1) @ M_B33[:, :2, :2])[:, None]
+    old_BNQ2 = old_B1Q2 + shift_voxels_BN3[:, :, None, :2]
+    grid_PXY2 = old_BNQ2.flip(-1).reshape(-1, side, side, 2) * (2 / side)
+    # Channels and heights become the channels of one image: both are resampled alike.
+    planes_BNCZXY = crop_BNCXYZ.permute(0, 1, 2, 5, 3, 4)
+    planes_PCXY = planes_BNCZXY.flatten(0, 1).flatten(1, 2)
+    found_PCXY = F.grid_sample(planes_PCXY, grid_PXY2, align_corners=False)
+    return found_PCXY.reshape(planes_BNCZXY.shape).permute(0, 1, 2, 4, 5, 3)

@@ -1,6 +1,4 @@
-"""Trained models on disk: ``model.safetensors`` with the model's word and its config as JSON
-metadata.
-"""
+"""Trained models on disk: ``model.safetensors``, with the name and config as JSON metadata."""
 
 from pathlib import Path
 
@@ -15,57 +13,54 @@ from oes.dynamics.unroll import DynamicsModel
 from oes.training.tensor_io import read_tensors, write_tensors
 
 MODEL_FILE = "model.safetensors"
-DYNAMICS_FORMAT = "oes-dynamics-2"
+DYNAMICS_FORMAT = "oes-dynamics-3"
 
 
 class ModelFileError(ValueError):
-    """A file that does not hold the model it should; the message names it and says what it
-    holds.
-    """
+    """A file that does not hold the expected model; the message names it and its content."""
 
 
 def save_model(folder: Path, model: nn.Module) -> None:
     """Write a model of ``MODELS``; the file appears whole."""
-    word = next(word for word, kind in MODELS.items() if type(model) is kind)
-    about = {"format": DYNAMICS_FORMAT, "model": word}
+    name = next(name for name, kind in MODELS.items() if type(model) is kind)
+    metadata = {"format": DYNAMICS_FORMAT, "model": name}
     if isinstance(model, GraphModel):
-        about |= {"net": to_json(model.net), "seen": to_json(model.seen)}
-        about |= {"certainty": to_json(model.error_model)} if model.error_model is not None else {}
-    write_tensors(model.state_dict(), folder / MODEL_FILE, about)
+        metadata |= {"net": to_json(model.net), "inputs": to_json(model.inputs)}
+        if model.error_model is not None:
+            metadata["error_model"] = to_json(model.error_model)
+    write_tensors(model.state_dict(), folder / MODEL_FILE, metadata)
 
 
 def load_model(folder: Path) -> DynamicsModel:
-    """The forecaster in ``folder``, ready to use (eval mode).
+    """The forecaster in ``folder``, in eval mode.
 
-    Raises FileNotFoundError, and CheckpointError for a file that is broken, foreign, of another
-    shape than its own config says, or not a forecaster (the simulator). A config that does not fit
-    raises ParamsError.
+    Raises FileNotFoundError; ModelFileError for a file that is broken, of another format, not a
+    forecaster (the simulator), or whose weights do not fit its config; ParamsError for a config
+    that is not valid.
     """
     model = load_any_model(folder)
     if not isinstance(model, DynamicsModel):
-        raise ModelFileError(
-            f"{folder / MODEL_FILE}: holds a {type(model).__name__}, which is not a forecaster"
-        )
+        name = type(model).__name__
+        raise ModelFileError(f"{folder / MODEL_FILE}: holds a {name}, which is not a forecaster")
     return model
 
 
 def load_any_model(folder: Path) -> DynamicsModel | Simulator:
-    """Whatever model is in ``folder``. Raises as ``load_model``."""
+    """The model in ``folder``. Raises as ``load_model``."""
     path = folder / MODEL_FILE
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such model")
-    tensors, about = read_tensors(path, DYNAMICS_FORMAT, ModelFileError)
-    if about.get("model") not in MODELS:
-        raise ModelFileError(
-            f"{path}: unknown model {about.get('model')!r}; there are: {', '.join(MODELS)}"
-        )
-    kind = MODELS[about["model"]]
+    tensors, metadata = read_tensors(path, DYNAMICS_FORMAT, ModelFileError)
+    if (name := metadata.get("model")) not in MODELS:
+        raise ModelFileError(f"{path}: unknown model {name!r}; valid: {', '.join(MODELS)}")
+    kind = MODELS[name]
     model: nn.Module
     if issubclass(kind, GraphModel):
-        net = from_json(about.get("net", "null"), NetConfig, f"{path}: net")
-        model = kind(net, from_json(about.get("seen", "null"), InputSpec, f"{path}: seen"))
-        if "certainty" in about:
-            model.error_model = from_json(about["certainty"], ErrorModel, f"{path}: certainty")
+        net = from_json(metadata.get("net", "null"), NetConfig, f"{path}: net")
+        inputs = from_json(metadata.get("inputs", "null"), InputSpec, f"{path}: inputs")
+        model = kind(net, inputs)
+        if (stored := metadata.get("error_model")) is not None:
+            model.error_model = from_json(stored, ErrorModel, f"{path}: error_model")
     else:
         model = kind()
     try:

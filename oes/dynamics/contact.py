@@ -1,119 +1,112 @@
-"""The model beyond the paper: surfaces that touch (completed from images), and what that does to
-them.
+"""The model ``contact``, which is not in the paper: surfaces in contact, completed from images.
 
-Where objects are pushed, rigid bodies slide (``oes.dynamics.rigid_body.sliding``): the outlines of
-the completed surfaces, pushed by the rod and by each other. A graph network whose messages pass
-between points of those surfaces corrects the motion of what slides; where objects fall, it
-forecasts alone. Out of training, a forecast is the mean of several, of surfaces, masses and
-frictions as they might be: their spread tells how sure it is.
+Pushed objects slide as rigid bodies (``oes.dynamics.rigid_body``), whose shapes are the completed
+surfaces; a graph network on surface points corrects the motion of those that slide. Falling
+objects have no such prior: the graph network forecasts alone. In eval mode a forecast is the mean
+over sampled shapes, masses and frictions, and their spread measures its uncertainty.
 """
 
-from typing import cast
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from oes.dynamics.encoders.surface_encoder import NOWHERE_M, SurfaceEncoder
-from oes.dynamics.graph import GraphFeatures, ObjectState, StepMotion, action_axes, yaw
+from oes.dynamics.graph import GraphFeatures, ObjectState, StepMotion, TipMotion, yaw
 from oes.dynamics.models import GraphModel, InputSpec, NetConfig
-from oes.dynamics.rigid_body.bodies import Pose, rotate_bodies
-from oes.dynamics.rigid_body.sliding import slide
-from oes.dynamics.shapes import ObjectShapes, shapes_of, unpacked
+from oes.dynamics.rigid_body.bodies import PlanarState, rotate_2d
+from oes.dynamics.rigid_body.push import simulate_push
+from oes.dynamics.shapes import ObjectShapes, shapes_of, unpack_shapes
 from oes.objects import Objects
 
-PRIOR = 6  # numbers of the forecast that is corrected: displacement, turn, velocity
+PRIOR_NUMBERS = 6  # displacement (2), yaw, velocity (2) and yaw rate after sliding
 SEED = 0
-STILL_M = 1e-6
+MIN_SLIDE_M = 1e-6
 
 
 class Contact(GraphModel):
-    """Equivariant to shifts and to the order of objects by construction, to mirror images by
-    augmentation. So it is to turns about the vertical (all is read in the action's axes), but for
-    the rattle of sliding bodies, which makes more of the last bits: millimetres in a push of
-    several centimetres.
+    """Equivariant by construction to shifts and to the order of objects.
+
+    Equivariance to mirroring is learned by augmentation. Rotations about the vertical are exact but
+    for rounding errors, which the chaotic contacts of sliding bodies amplify to millimetres in a
+    push of several centimetres.
     """
 
-    READS_SURFACES = True
+    USES_SURFACES = True
+    AVERAGES_MIRROR = False
 
-    def __init__(self, net: NetConfig, seen: InputSpec) -> None:
-        cfg = net.contact
-        super().__init__(net, seen, appearance=cfg.skin.width + PRIOR, contact=cfg.skin.width)
-        self.sight = SurfaceEncoder(cfg.skin, net.graph.unit_m)
+    def __init__(self, net: NetConfig, inputs: InputSpec) -> None:
+        cfg = net.contact.surface_points
+        super().__init__(net, inputs, cfg.width + PRIOR_NUMBERS, cfg.width)
+        self.encoder = SurfaceEncoder(cfg, net.graph.unit_m)
 
     @property
     def num_samples(self) -> int:
-        """How many futures make up a forecast."""
-        return 1 if self.training else self.net.contact.doubt.draws
+        """Samples per forecast; training uses the perceived shapes alone."""
+        return 1 if self.training else self.net.contact.uncertainty.num_samples
 
-    def look(self, objects: Objects) -> Tensor:
+    def encode(self, objects: Objects) -> Tensor:
         """The surfaces, packed."""
-        return shapes_of(objects).packed()
-
-    def appearance(self, objects: Objects) -> Tensor:
-        """``look``: mirror images are learned, not averaged over."""
-        return self.look(objects)
+        return shapes_of(objects).pack()
 
     def sample(self, appearance_BNC: Tensor) -> Tensor:
-        """The objects as they seem and as they might be instead, always in the same ways."""
+        """Packed surfaces of all samples; the same deviations in every call."""
         generator = torch.Generator().manual_seed(SEED)
-        return self._shapes(appearance_BNC).sample(self.net.contact.doubt, generator).packed()
+        shapes = self._unpack(appearance_BNC)
+        return shapes.sample(self.net.contact.uncertainty, generator).pack()
 
-    def forward(
-        self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> StepMotion:
-        """Motion of every object over one action."""
-        return self.step(appearance_BNC, state, tip_world_B3, action_B3)
-
-    def step(
-        self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> StepMotion:
-        """What sliding gives, corrected by the graph network; what does not slide stays, however
-        many stand around.
-        """
-        shapes, unit_m = self._shapes(appearance_BNC), self.net.graph.unit_m
-        prior, axes_B33 = self._slid(shapes, state, tip_world_B3, action_B3), action_axes(action_B3)
+    def step(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
+        """Sliding corrected by the graph network; objects that do not slide stay."""
+        shapes, unit_m, step_s = (
+            self._unpack(appearance_BNC),
+            self.net.graph.unit_m,
+            self.net.contact.step_s,
+        )
+        prior, action_R_B22 = self._slide(shapes, state, tip), tip.axes_B33()[:, :2, :2]
         assert prior.twist_BN3 is not None
-        along_BN2, velocity_BN2 = (
-            (x[..., :2] @ axes_B33[:, :2, :2]) for x in (prior.dp_BN3, prior.twist_BN3)
-        )
-        speeds = [
-            velocity_BN2 * self.net.contact.step_s / unit_m,
-            prior.twist_BN3[..., 2:] * self.net.contact.step_s,
+        features: GraphFeatures = self.encoder(shapes, state, tip)
+        node = [
+            features.node_BNC,
+            prior.dp_BN3[..., :2] @ action_R_B22 / unit_m,
+            prior.rotvec_BN3[..., 2:],
+            prior.twist_BN3[..., :2] @ action_R_B22 * step_s / unit_m,
+            prior.twist_BN3[..., 2:] * step_s,
         ]
-        numbers_BNC = torch.cat([along_BN2 / unit_m, prior.spin_BN3[..., 2:], *speeds], -1)
-        sight = self.sight(shapes, state, tip_world_B3, action_B3)
-        sight = GraphFeatures(
-            torch.cat([sight.own_BNC, numbers_BNC], -1), sight.path_BNC, sight.pair_BNNC
-        )
-        up_BN3 = state.turned_BN33[..., 2]
-        found = cast(StepMotion, self.graph(sight, state, up_BN3, tip_world_B3, action_B3))
+        features = replace(features, node_BNC=torch.cat(node, -1))
+        found: StepMotion = self.graph(features, state, state.rotation_BN33[..., 2], tip)
         if self.net.contact.physics is None:
-            return StepMotion(found.dp_BN3, found.spin_BN3, prior.twist_BN3)
-        slides_BN1 = prior.dp_BN3.norm(dim=-1, keepdim=True) > STILL_M
-        dp_BN3, spin_BN3 = (x_BN3 * slides_BN1 for x_BN3 in (found.dp_BN3, found.spin_BN3))
-        return StepMotion(prior.dp_BN3 + dp_BN3, prior.spin_BN3 + spin_BN3, prior.twist_BN3)
+            return replace(found, twist_BN3=prior.twist_BN3)
+        # Without the mask, a bystander would drift by the network's residual error.
+        slides_BN1 = prior.dp_BN3.norm(dim=-1, keepdim=True) > MIN_SLIDE_M
+        return StepMotion(
+            prior.dp_BN3 + found.dp_BN3 * slides_BN1,
+            prior.rotvec_BN3 + found.rotvec_BN3 * slides_BN1,
+            prior.twist_BN3,
+        )
 
     @torch.no_grad()
-    def _slid(
-        self, shapes: ObjectShapes, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> StepMotion:
-        """Sliding alone; where objects fall, no motion."""
-        still_BN3 = torch.zeros_like(state.center_BN3)
-        physics = self.net.contact.physics
-        if physics is None:
-            return StepMotion(still_BN3, still_BN3, still_BN3)
-        bodies = shapes.bodies(state.valid_BN, self.net.contact.skin.band_m)
-        turn_BN = yaw(state.turned_BN33)
-        place_BN2 = state.center_BN3[..., :2] + rotate_bodies(bodies.mass_BN2, turn_BN)
-        tip_B2 = tip_world_B3[:, :2].nan_to_num(nan=NOWHERE_M)
-        pose = slide(
-            bodies, Pose(place_BN2, turn_BN, state.twist_BN3), tip_B2, action_B3[:, :2], physics
+    def _slide(self, shapes: ObjectShapes, state: ObjectState, tip: TipMotion) -> StepMotion:
+        """Motion by rigid-body sliding alone; none where objects fall."""
+        zero_BN3 = torch.zeros_like(state.center_BN3)
+        contact = self.net.contact
+        if contact.physics is None:
+            return StepMotion(zero_BN3, zero_BN3, zero_BN3)
+        bodies = shapes.bodies(state.valid_BN, contact.surface_points.layer_height_m)
+        yaw_BN = yaw(state.rotation_BN33)
+        com_BN2 = state.center_BN3[..., :2] + rotate_2d(bodies.com_offset_BN2, yaw_BN)
+        after = simulate_push(
+            bodies,
+            PlanarState(com_BN2, yaw_BN, state.twist_BN3),
+            tip.start_B3[:, :2].nan_to_num(nan=NOWHERE_M),
+            tip.action_B3[:, :2],
+            contact.physics,
         )
-        now_BN2 = pose.place_BN2 - rotate_bodies(bodies.mass_BN2, pose.turn_BN)
-        dp_BN3, spin_BN3 = still_BN3.clone(), still_BN3.clone()
-        dp_BN3[..., :2] = now_BN2 - state.center_BN3[..., :2]
-        spin_BN3[..., 2] = pose.turn_BN - turn_BN
-        return StepMotion(dp_BN3, spin_BN3, pose.twist_BN3)
+        center_BN2 = after.com_BN2 - rotate_2d(bodies.com_offset_BN2, after.yaw_BN)
+        dp_BN3, rotvec_BN3 = zero_BN3.clone(), zero_BN3.clone()
+        dp_BN3[..., :2] = center_BN2 - state.center_BN3[..., :2]
+        rotvec_BN3[..., 2] = after.yaw_BN - yaw_BN
+        return StepMotion(dp_BN3, rotvec_BN3, after.twist_BN3)
 
-    def _shapes(self, appearance_BNC: Tensor) -> ObjectShapes:
-        return unpacked(appearance_BNC, self.seen.profile_rows, self.seen.profile_directions)
+    def _unpack(self, appearance_BNC: Tensor) -> ObjectShapes:
+        inputs = self.inputs
+        return unpack_shapes(appearance_BNC, inputs.profile_rows, inputs.profile_directions)

@@ -1,6 +1,4 @@
-"""The object graph network that every learned dynamics model shares (paper section 3.2, appendix
-C.1).
-"""
+"""Object graph network shared by all learned models (paper section 3.2, appendix C.1)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,225 +9,206 @@ from torch import Tensor, nn
 
 from oes.config import params
 
+LEAK = 0.01
+
 
 @params
 class GraphConfig:
-    """Width and depth of each MLP, rounds of message passing, the length that counts as 1 inside
-    the network, and whether an object's last rotation is an input (as its last displacement always
-    is): what falls keeps spinning.
+    """Width and depth of every MLP, rounds of message passing, and the inputs of a node.
+
+    ``unit_m`` is the length that the network sees as 1. ``angular_velocity`` adds the last
+    rotation to the inputs: falling objects keep spinning.
     """
 
     width: int
     layers: int
     rounds: int
     unit_m: float
-    spin: bool
+    angular_velocity: bool
 
 
 @dataclass(frozen=True)
 class ObjectState:
-    """Where N objects are after some steps; frames are world, lengths metres.
+    """State of N objects, in world axes and metres.
 
-    ``center_BN3`` is the reference point (the box centre at t = 0, carried along), ``velocity_BN3``
-    its last displacement and ``spin_BN3`` the last rotation (as a vector, radians); ``moved_BN3``
-    is its displacement since t = 0, ``turned_BN33`` the rotation since t = 0. ``twist_BN3`` is the
-    velocity on the table at this moment (m/s, m/s, rad/s) of models that follow it, else 0.
+    ``center_BN3``: reference point, which is the box centre at t = 0 and then moves with the
+    object; ``velocity_BN3`` and ``omega_BN3``: its displacement and rotation vector over the last
+    step; ``displacement_BN3`` and ``rotation_BN33``: motion since t = 0; ``twist_BN3``: planar
+    velocity (m/s, m/s, rad/s) in models that simulate sliding, else 0.
     """
 
     center_BN3: Tensor
     velocity_BN3: Tensor
-    spin_BN3: Tensor
-    moved_BN3: Tensor
-    turned_BN33: Tensor
+    omega_BN3: Tensor
+    displacement_BN3: Tensor
+    rotation_BN33: Tensor
     twist_BN3: Tensor
     valid_BN: Tensor
 
 
-def mirrored(state: ObjectState, mirror_33: Tensor) -> ObjectState:
-    """The state of the mirrored world; ``mirror_33`` is its own inverse."""
-    return ObjectState(
-        center_BN3=state.center_BN3 @ mirror_33,
-        velocity_BN3=state.velocity_BN3 @ mirror_33,
-        spin_BN3=-state.spin_BN3 @ mirror_33,
-        moved_BN3=state.moved_BN3 @ mirror_33,
-        turned_BN33=mirror_33 @ state.turned_BN33 @ mirror_33,
-        twist_BN3=state.twist_BN3 * state.twist_BN3.new_tensor([1.0, -1.0, -1.0]),
-        valid_BN=state.valid_BN,
-    )
-
-
 @dataclass(frozen=True)
-class GraphFeatures:
-    """What a model sees at one step, in the action's axes; widths may be 0.
+class TipMotion:
+    """One action: the robot's tip moves from ``start_B3`` by ``action_B3`` (world frame, metres).
 
-    ``own_BNC``: each object as a whole; ``path_BNC``: where the tip passes it; ``pair_BNNC``:
-    between receiver and sender.
+    A start of NaN stands for a scene without a robot.
     """
 
-    own_BNC: Tensor
-    path_BNC: Tensor
-    pair_BNNC: Tensor
+    start_B3: Tensor
+    action_B3: Tensor
 
-
-def node_features_only(appearance_BNC: Tensor) -> GraphFeatures:
-    """A sight of whole objects alone."""
-    empty_BN0 = appearance_BNC[..., :0]
-    return GraphFeatures(
-        appearance_BNC, empty_BN0, empty_BN0[:, :, None].expand(-1, -1, appearance_BNC.shape[1], -1)
-    )
+    def axes_B33(self) -> Tensor:
+        """``world_R_action``: x along the horizontal action (the world's x if 0), z up."""
+        return yaw_rotation(torch.atan2(self.action_B3[:, 1], self.action_B3[:, 0]))
 
 
 @dataclass(frozen=True)
 class StepMotion:
-    """One step of every object: displacement of its reference point (metres) and rotation vector,
-    in world axes; its velocity afterwards, of models that follow it (see ``ObjectState``).
+    """Motion of N objects over one step, in world axes.
+
+    ``dp_BN3``: displacement of the reference point (metres); ``rotvec_BN3``: rotation vector
+    (radians); ``twist_BN3``: planar velocity after the step (see ``ObjectState``).
     """
 
     dp_BN3: Tensor
-    spin_BN3: Tensor
+    rotvec_BN3: Tensor
     twist_BN3: Tensor | None = None
 
 
-def mlp(inputs: int, width: int, layers: int) -> nn.Sequential:
-    """``layers`` linear layers of ``width``, each followed by a leaky ReLU; Xavier initialisation
-    (appendix C.1).
+@dataclass(frozen=True)
+class GraphFeatures:
+    """Encoded shapes at one step, in the action's axes; widths may be 0.
+
+    ``node_BNC``: of each object; ``agent_BNC``: of the edge from the tip to each object;
+    ``edge_BNNC``: of the edge to each receiver (first N) from each sender.
     """
-    modules: list[nn.Module] = []
-    for fan_in, fan_out in pairwise([inputs] + [width] * layers):
-        linear = nn.Linear(fan_in, fan_out)
-        nn.init.xavier_uniform_(linear.weight)
-        nn.init.zeros_(linear.bias)
-        modules += [linear, nn.LeakyReLU(0.01)]
-    return nn.Sequential(*modules)
+
+    node_BNC: Tensor
+    agent_BNC: Tensor
+    edge_BNNC: Tensor
+
+
+def node_features_only(node_BNC: Tensor) -> GraphFeatures:
+    """Features of nodes alone; edges get width 0."""
+    empty_BN0 = node_BNC[..., :0]
+    return GraphFeatures(
+        node_BNC, empty_BN0, empty_BN0[:, :, None].expand(-1, -1, node_BNC.shape[1], -1)
+    )
 
 
 class GraphNet(nn.Module):
-    """Nodes are the objects and the end effector; edges run to every object from every other node.
+    """Nodes are the objects and the tip; every object receives edges from all other nodes.
 
-    Every vector is given in axes turned about the vertical so that the action points along x, and
-    the outputs are turned back: a scene and the same scene turned are one and the same to the
-    network.
+    All vectors are expressed in axes whose x points along the action, so that forecasts are
+    equivariant to rotations about the vertical.
     """
 
-    NODE_GEOMETRY = 10  # velocity, displacement since t = 0, height above the table, tilt
+    NODE_GEOMETRY = 10  # velocity, displacement since t = 0, vertical axis, height above the table
     AGENT_GEOMETRY = 6  # the tip's position from the object, the action
     EDGE_GEOMETRY = 3  # the sender's position from the receiver
 
-    def __init__(self, cfg: GraphConfig, appearance: int, contact: int = 0) -> None:
-        """Widths of ``GraphFeatures.own_BNC``, and of its other two."""
+    def __init__(self, cfg: GraphConfig, node_width: int, edge_width: int = 0) -> None:
+        """Widths of ``GraphFeatures.node_BNC``, and of its two kinds of edges."""
         super().__init__()
-        self.unit_m, self.spin = cfg.unit_m, cfg.spin
-        node, edge = appearance + self.NODE_GEOMETRY + 3 * cfg.spin, contact + self.EDGE_GEOMETRY
-        self.from_agent = mlp(node + contact + self.AGENT_GEOMETRY, cfg.width, cfg.layers)
-        senders = [node] + [cfg.width] * (cfg.rounds - 1)
-        self.edges = nn.ModuleList(mlp(2 * size + edge, cfg.width, cfg.layers) for size in senders)
-        self.nodes = nn.ModuleList(
-            mlp(node + 2 * cfg.width, cfg.width, cfg.layers) for _ in senders
-        )
+        self.unit_m, self.angular_velocity = cfg.unit_m, cfg.angular_velocity
+        node = node_width + self.NODE_GEOMETRY + 3 * cfg.angular_velocity
+        edge = edge_width + self.EDGE_GEOMETRY
+        size = cfg.width, cfg.layers
+        self.agent_edge = mlp(node + edge_width + self.AGENT_GEOMETRY, *size)
+        hidden = [node] + [cfg.width] * (cfg.rounds - 1)
+        self.edges = nn.ModuleList(mlp(2 * inputs + edge, *size) for inputs in hidden)
+        self.nodes = nn.ModuleList(mlp(node + 2 * cfg.width, *size) for _ in hidden)
         self.head = nn.Linear(cfg.width, 6)
+        # A small gain makes the untrained network forecast almost no motion.
         nn.init.xavier_uniform_(self.head.weight, gain=0.1)
         nn.init.zeros_(self.head.bias)
 
     def forward(
-        self,
-        sight: GraphFeatures,
-        state: ObjectState,
-        up_BN3: Tensor,
-        tip_world_B3: Tensor,
-        action_B3: Tensor,
+        self, features: GraphFeatures, state: ObjectState, up_BN3: Tensor, tip: TipMotion
     ) -> StepMotion:
-        """Motion of each object while the tip goes from ``tip_world_B3`` by ``action_B3`` (metres).
-
-        ``up_BN3`` is where each object's own vertical points. A tip of NaN says that there is no
-        robot.
-        """
-        axes_B33 = action_axes(action_B3)
-        node_BNC = self._node(sight.own_BNC, state, up_BN3, axes_B33)
-        to_tip_BN3 = (tip_world_B3[:, None] - state.center_BN3).nan_to_num()
-        reach_BN23 = torch.stack([to_tip_BN3, action_B3[:, None].expand_as(to_tip_BN3)], -2)
-        reach_BN6 = (reach_BN23 @ axes_B33[:, None]).flatten(-2) / self.unit_m
-        pushed_BNC = self.from_agent(torch.cat([node_BNC, reach_BN6, sight.path_BNC], -1))
-        apart_BNN3 = (
-            (state.center_BN3[:, None] - state.center_BN3[:, :, None])
-            @ axes_B33[:, None]
-            / self.unit_m
-        )
-        edge_BNNC = torch.cat([apart_BNN3, sight.pair_BNNC], -1)
-        others_BNN1 = valid_pairs(state.valid_BN)[..., None]
+        """Motion of every object over one action; ``up_BN3`` is each object's own z axis."""
+        axes_B133 = tip.axes_B33()[:, None]
+        node_BNC = self._nodes(features.node_BNC, state, up_BN3, axes_B133)
+        # NaN (no robot) becomes 0: the network then sees a tip that stays on the object.
+        to_tip_BN3 = (tip.start_B3[:, None] - state.center_BN3).nan_to_num()
+        to_tip_BN23 = torch.stack([to_tip_BN3, tip.action_B3[:, None].expand_as(to_tip_BN3)], -2)
+        to_tip_BN6 = (to_tip_BN23 @ axes_B133).flatten(-2) / self.unit_m
+        agent_BNC = self.agent_edge(torch.cat([node_BNC, to_tip_BN6, features.agent_BNC], -1))
+        offset_BNN3 = state.center_BN3[:, None] - state.center_BN3[:, :, None]
+        offset_BNN3 = offset_BNN3 @ axes_B133 / self.unit_m
+        edge_BNNC = torch.cat([offset_BNN3, features.edge_BNNC], -1)
+        is_edge_BNN1 = valid_pairs(state.valid_BN)[..., None]
         hidden_BNC = node_BNC
         for edge, update in zip(self.edges, self.nodes, strict=True):
-            messages_BNNC = edge(_receiver_sender(hidden_BNC, edge_BNNC)) * others_BNN1
-            hidden_BNC = update(torch.cat([node_BNC, pushed_BNC, messages_BNNC.sum(2)], -1))
-        out_BN23 = (
-            self.head(hidden_BNC).reshape(*hidden_BNC.shape[:-1], 2, 3) @ axes_B33.mT[:, None]
-        )
+            ends_BNNC = hidden_BNC[:, :, None].expand(*edge_BNNC.shape[:-1], -1)
+            inputs_BNNC = torch.cat([ends_BNNC, ends_BNNC.transpose(1, 2), edge_BNNC], -1)
+            messages_BNC = (edge(inputs_BNNC) * is_edge_BNN1).sum(2)
+            # Every round sees the input of the node again, so that messages cannot displace it.
+            hidden_BNC = update(torch.cat([node_BNC, agent_BNC, messages_BNC], -1))
+        out_BN23 = self.head(hidden_BNC).unflatten(-1, (2, 3)) @ axes_B133.mT
         return StepMotion(out_BN23[..., 0, :] * self.unit_m, out_BN23[..., 1, :])
 
-    def _node(
-        self, appearance_BNC: Tensor, state: ObjectState, up_BN3: Tensor, axes_B33: Tensor
+    def _nodes(
+        self, features_BNC: Tensor, state: ObjectState, up_BN3: Tensor, axes_B133: Tensor
     ) -> Tensor:
-        """What an object knows of itself: appearance, velocity, displacement, tilt, spin,
-        height.
-        """
-        vectors = [state.velocity_BN3 / self.unit_m, state.moved_BN3 / self.unit_m, up_BN3]
-        own_BNK3 = torch.stack([*vectors, state.spin_BN3] if self.spin else vectors, -2)
+        """Inputs of the nodes: features, velocity, displacement, tilt, rotation, height."""
+        lengths = [state.velocity_BN3 / self.unit_m, state.displacement_BN3 / self.unit_m]
+        rotation = [state.omega_BN3] if self.angular_velocity else []
+        vectors_BNC = (torch.stack([*lengths, up_BN3, *rotation], -2) @ axes_B133).flatten(-2)
         height_BN1 = state.center_BN3[..., 2:] / self.unit_m
-        return torch.cat(
-            [appearance_BNC, (own_BNK3 @ axes_B33[:, None]).flatten(-2), height_BN1], -1
-        )
+        return torch.cat([features_BNC, vectors_BNC, height_BN1], -1)
 
 
-def action_axes(action_B3: Tensor) -> Tensor:
-    """``world_R_action`` B33: x along the horizontal action (the world's x where there is none), z
-    up.
-    """
-    angle_B = torch.atan2(action_B3[:, 1], action_B3[:, 0])
-    cos, sin, zero, one = (
-        angle_B.cos(),
-        angle_B.sin(),
-        torch.zeros_like(angle_B),
-        torch.ones_like(angle_B),
-    )
-    return torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1).reshape(-1, 3, 3)
-
-
-def yaw(R: Tensor) -> Tensor:
-    """The angle (radians) of the turn about the vertical that comes nearest to rotations ...33."""
-    return torch.atan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1])
+def mlp(inputs: int, width: int, layers: int) -> nn.Sequential:
+    """``layers`` linear layers with leaky ReLUs and Xavier initialisation (appendix C.1)."""
+    modules: list[nn.Module] = []
+    for fan_in, fan_out in pairwise([inputs] + [width] * layers):
+        modules += [_xavier(nn.Linear(fan_in, fan_out)), nn.LeakyReLU(LEAK)]
+    return nn.Sequential(*modules)
 
 
 def conv_encoder(inputs: int, channels: Sequence[int], kernel_px: int) -> nn.Sequential:
-    """2D convolutions, each halving the image, with a leaky ReLU after each; then flattened. Xavier
-    initialisation.
-    """
+    """2D convolutions of stride 2 with leaky ReLUs and Xavier initialisation; output flattened."""
     modules: list[nn.Module] = []
     for fan_in, fan_out in pairwise((inputs, *channels)):
         conv = nn.Conv2d(fan_in, fan_out, kernel_px, stride=2, padding=1)
-        nn.init.xavier_uniform_(conv.weight)
-        nn.init.zeros_(conv.bias)  # type: ignore[arg-type]
-        modules += [conv, nn.LeakyReLU(0.01)]
+        modules += [_xavier(conv), nn.LeakyReLU(LEAK)]
     return nn.Sequential(*modules, nn.Flatten())
 
 
+def _xavier(layer: nn.Linear | nn.Conv2d) -> nn.Module:
+    nn.init.xavier_uniform_(layer.weight)
+    assert layer.bias is not None
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+def yaw_rotation(angle_B: Tensor) -> Tensor:
+    """Rotations B33 about the vertical by ``angle_B`` (radians)."""
+    cos, sin = angle_B.cos(), angle_B.sin()
+    zero, one = torch.zeros_like(cos), torch.ones_like(cos)
+    rows = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1)
+    return rows.reshape(-1, 3, 3)
+
+
+def yaw(R: Tensor) -> Tensor:
+    """Angle (radians) of the rotation about the vertical that is closest to rotations ...33."""
+    return torch.atan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1])
+
+
 def valid_pairs(valid_BN: Tensor) -> Tensor:
-    """Which (receiver, sender) pairs exist, BNN: of valid objects, none with itself."""
-    return (
-        valid_BN[:, None]
-        & valid_BN[:, :, None]
-        & distinct_pairs(valid_BN.shape[1], valid_BN.device)
-    )
+    """Mask BNN of the (receiver, sender) pairs of different valid objects."""
+    others_NN = ~torch.eye(valid_BN.shape[1], dtype=torch.bool, device=valid_BN.device)
+    return valid_BN[:, None] & valid_BN[:, :, None] & others_NN
 
 
-def distinct_pairs(num: int, device: torch.device) -> Tensor:
-    """Pairs NN of different objects."""
-    return ~torch.eye(num, dtype=torch.bool, device=device)
+def pair_indices(num: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Receivers E and senders E of all pairs of different objects."""
+    receiver_E, sender_E = (~torch.eye(num, dtype=torch.bool, device=device)).nonzero().unbind(1)
+    return receiver_E, sender_E
 
 
-def _receiver_sender(hidden_BNC: Tensor, geometry_BNNC: Tensor) -> Tensor:
-    """Inputs of the edge network: receiver's and sender's hidden state and the geometry of the
-    pair.
-    """
-    pairs = (*geometry_BNNC.shape[:-1], hidden_BNC.shape[-1])
-    return torch.cat(
-        [hidden_BNC[:, :, None].expand(pairs), hidden_BNC[:, None].expand(pairs), geometry_BNNC], -1
-    )
+def scatter_pairs(edge_BEC: Tensor, num: int) -> Tensor:
+    """Features BNNC of the pairs of ``pair_indices``; 0 from an object to itself."""
+    edge_BNNC = edge_BEC.new_zeros(len(edge_BEC), num, num, edge_BEC.shape[-1])
+    edge_BNNC[:, *pair_indices(num, edge_BEC.device)] = edge_BEC
+    return edge_BNNC

@@ -1,9 +1,7 @@
-"""The learned models: one graph network, three ways of seeing an object (paper section 3.2,
-appendix C.1-C.2).
-"""
+"""Learned models: one graph network and three encodings of objects (paper 3.2, C.1, C.2)."""
 
 from abc import abstractmethod
-from typing import ClassVar, cast
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -12,32 +10,31 @@ from oes.config import params
 from oes.dynamics.augment import transform_objects
 from oes.dynamics.encoders.crop_encoder import CropConfig, CropEncoder, fold
 from oes.dynamics.encoders.heightmap_encoder import (
-    HEIGHTMAP_EDGE_CHANNELS,
-    HEIGHTMAP_NODE_CHANNELS,
+    HEIGHTMAP_EDGE_SCALARS,
+    HEIGHTMAP_NODE_SCALARS,
     HeightmapEncoder,
 )
 from oes.dynamics.encoders.surface_encoder import ContactConfig
 from oes.dynamics.graph import (
     GraphConfig,
+    GraphFeatures,
     GraphNet,
     ObjectState,
     StepMotion,
+    TipMotion,
     conv_encoder,
-    mirrored,
     mlp,
     node_features_only,
 )
 from oes.dynamics.unroll import DynamicsModel
-from oes.objects import Objects
+from oes.objects import Objects, map_tensors
 
-POSE = 12
+POSE_NUMBERS = 12  # rows of world_T_cam
 
 
 @params
 class ImageEncoderConfig:
-    """Output channels of the 2D convolutions (stride 2 each) and the width of the two layers after
-    them.
-    """
+    """Channels of the stride-2 convolutions, and width of the two layers after them."""
 
     channels: tuple[int, ...]
     width: int
@@ -45,7 +42,7 @@ class ImageEncoderConfig:
 
 @params
 class NetConfig:
-    """The networks: the graph that all models share and the three ways of seeing objects."""
+    """Networks of one task: the graph of all models and the encoders of crops, images, surfaces."""
 
     graph: GraphConfig
     crop: CropConfig
@@ -55,9 +52,7 @@ class NetConfig:
 
 @params
 class InputSpec:
-    """Sizes of what perception delivers, which a network must fit: crop channels, side and voxel,
-    image side, rows and directions of outlines.
-    """
+    """Sizes of the perceived ``Objects`` that a network was built for."""
 
     crop_channels: int
     crop_side: int
@@ -68,178 +63,161 @@ class InputSpec:
 
 
 class GraphModel(DynamicsModel):
-    """A graph network with an appearance of some width. ``DRAWS`` names the views it learns from.
+    """A graph network whose nodes encode what an object looks like.
 
-    Out of training, a forecast is the mean of the network's for the scene and for its mirror image,
-    mirrored back: mirrored scenes get mirrored forecasts. Training sees mirror images by
-    augmentation instead, at half the cost.
+    In eval mode a forecast is the mean of the forecast of the scene and of the mirrored-back
+    forecast of its mirror image, which makes it equivariant to mirroring. Training uses mirror
+    augmentation instead, at half the cost. ``CAMERAS``: ``random`` cameras or the ``fixed`` one.
     """
 
-    DRAWS: ClassVar[str] = "random"
-    READS_CROPS: ClassVar[bool] = False
-    READS_IMAGES: ClassVar[bool] = False
-    READS_SURFACES: ClassVar[bool] = False
+    CAMERAS: ClassVar[str] = "random"
+    AVERAGES_MIRROR: ClassVar[bool] = True
+    USES_CROPS: ClassVar[bool] = False
+    USES_IMAGES: ClassVar[bool] = False
+    USES_SURFACES: ClassVar[bool] = False
     mirror_33: Tensor
 
     def __init__(
-        self, net: NetConfig, seen: InputSpec, appearance: int = 0, contact: int = 0
+        self, net: NetConfig, inputs: InputSpec, node_width: int = 0, edge_width: int = 0
     ) -> None:
         super().__init__()
-        self.net, self.seen = net, seen
-        self.graph = GraphNet(net.graph, appearance, contact)
-        self.register_buffer(
-            "mirror_33", torch.diag(torch.tensor([1.0, -1.0, 1.0])), persistent=False
-        )
+        self.net, self.inputs = net, inputs
+        self.graph = GraphNet(net.graph, node_width, edge_width)
+        mirror_33 = torch.diag(torch.tensor([1.0, -1.0, 1.0]))
+        self.register_buffer("mirror_33", mirror_33, persistent=False)
 
     @abstractmethod
-    def look(self, objects: Objects) -> Tensor:
-        """Appearance BNC of batched objects as first seen."""
+    def encode(self, objects: Objects) -> Tensor:
+        """Appearance BNC of batched objects in the first frame."""
 
     @abstractmethod
-    def step(
-        self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> StepMotion:
-        """Motion of every object over one action."""
+    def step(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
+        """Motion of every object over one action, of appearances from ``encode``."""
+
+    @property
+    def averages_mirror(self) -> bool:
+        """Whether the forecast includes that of the mirror image."""
+        return self.AVERAGES_MIRROR and not self.training
 
     def appearance(self, objects: Objects) -> Tensor:
-        """``look`` at the objects and, out of training, at their mirror image, one after the other:
-        BN(2C).
-        """
-        here_BNC = self.look(objects)
-        if self.training:
-            return here_BNC
-        mirror_B33 = self.mirror_33.expand(len(here_BNC), 3, 3)
-        there = transform_objects(
-            objects, mirror_B33, torch.zeros_like(objects.center_N3), self.seen.voxel_m
-        )
-        return torch.cat([here_BNC, self.look(there)], -1)
+        """``encode``d objects; followed by their mirror image, BN(2C), if it is averaged over."""
+        appearance_BNC = self.encode(objects)
+        if not self.averages_mirror:
+            return appearance_BNC
+        mirror_B33 = self.mirror_33.expand(len(appearance_BNC), 3, 3)
+        shift_BN3 = torch.zeros_like(objects.center_N3)
+        mirror = transform_objects(objects, mirror_B33, shift_BN3, self.inputs.voxel_m)
+        return torch.cat([appearance_BNC, self.encode(mirror)], -1)
 
-    def forward(
-        self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> StepMotion:
+    def forward(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
         """Motion of every object over one action."""
-        if self.training:
-            return self.step(appearance_BNC, state, tip_world_B3, action_B3)
-        mirror_33, there = self.mirror_33, mirrored(state, self.mirror_33)
-        both = ObjectState(
-            **{
-                name: torch.cat([value, getattr(there, name)])
-                for name, value in vars(state).items()
-            }
+        if not self.averages_mirror:
+            return self.step(appearance_BNC, state, tip)
+        mirror_33 = self.mirror_33
+        # One batch of 2B scenes: two smaller steps take longer.
+        motion = self.step(
+            torch.cat(appearance_BNC.chunk(2, -1)),
+            map_tensors(state, lambda *x: torch.cat(x), _mirrored(state, mirror_33)),
+            map_tensors(tip, lambda x_B3: torch.cat([x_B3, x_B3 @ mirror_33])),
         )
-        appearance_ANC = torch.cat(appearance_BNC.chunk(2, -1))
-        # A = 2B scenes at once: twice as many small steps would take longer
-        found = self.step(
-            appearance_ANC, both, _beside(tip_world_B3, mirror_33), _beside(action_B3, mirror_33)
-        )
-        (dp_BN3, dp_there_BN3), (spin_BN3, spin_there_BN3) = (
-            found.dp_BN3.chunk(2),
-            found.spin_BN3.chunk(2),
-        )
+        dp_BN3, mirror_dp_BN3 = motion.dp_BN3.chunk(2)
+        rotvec_BN3, mirror_rotvec_BN3 = motion.rotvec_BN3.chunk(2)
+        # A rotation vector is a pseudovector: mirroring also flips its sign.
         return StepMotion(
-            (dp_BN3 + dp_there_BN3 @ mirror_33) / 2, (spin_BN3 - spin_there_BN3 @ mirror_33) / 2
+            (dp_BN3 + mirror_dp_BN3 @ mirror_33) / 2,
+            (rotvec_BN3 - mirror_rotvec_BN3 @ mirror_33) / 2,
         )
 
 
 class GraphXYZ(GraphModel):
-    """Centroids, their motion and nothing of what the objects look like; world axes, no
-    orientation.
-    """
+    """Positions and motions only, no appearance and no orientation."""
 
-    def look(self, objects: Objects) -> Tensor:
-        """None: a tensor BN0."""
+    def encode(self, objects: Objects) -> Tensor:
+        """A tensor BN0."""
         return objects.center_N3[..., :0]
 
-    def step(
-        self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> StepMotion:
+    def step(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
         """Motion of every object over one action."""
-        upright = torch.zeros_like(state.center_BN3)
-        upright[..., 2] = 1
-        return cast(
-            StepMotion,
-            self.graph(node_features_only(appearance_BNC), state, upright, tip_world_B3, action_B3),
-        )
+        up_BN3 = torch.zeros_like(state.center_BN3)
+        up_BN3[..., 2] = 1
+        motion: StepMotion = self.graph(node_features_only(appearance_BNC), state, up_BN3, tip)
+        return motion
 
 
 class GraphXYZImage(GraphXYZ):
-    """Centroids and a 2D CNN's reading of each view's image crop joined with the camera's pose,
-    averaged over views.
-    """
+    """Positions, and a 2D CNN on each view's image crop with the camera's pose, mean over views."""
 
-    READS_IMAGES = True
+    USES_IMAGES = True
 
-    def __init__(self, net: NetConfig, seen: InputSpec) -> None:
+    def __init__(self, net: NetConfig, inputs: InputSpec) -> None:
         image = net.image
-        super().__init__(net, seen, appearance=image.width)
+        super().__init__(net, inputs, image.width)
         self.convs = conv_encoder(3, image.channels, kernel_px=3)
-        flat = image.channels[-1] * (seen.image_side_px >> len(image.channels)) ** 2
-        self.join = mlp(flat + POSE, image.width, 2)
+        flat = image.channels[-1] * (inputs.image_side_px >> len(image.channels)) ** 2
+        self.head = mlp(flat + POSE_NUMBERS, image.width, 2)
 
-    def look(self, objects: Objects) -> Tensor:
-        """BNC: mean over the views that exist."""
-        images_P3HW = objects.image_NV3HW.flatten(0, 2)
-        read = self.convs(images_P3HW.to(objects.camera_NV12.dtype) / 255 - 0.5)
-        read = read.reshape(*objects.image_NV3HW.shape[:3], -1)
-        features_BNVC = (
-            self.join(torch.cat([read, objects.camera_NV12], -1)) * objects.view_NV[..., None]
-        )
-        return cast(
-            Tensor, features_BNVC.sum(-2) / objects.view_NV.sum(-1, keepdim=True).clamp(min=1)
-        )
+    def encode(self, objects: Objects) -> Tensor:
+        """Mean BNC over the existing views."""
+        image_P3HW = objects.image_NV3HW.flatten(0, 2).to(objects.camera_NV12.dtype)
+        image_PC = self.convs(image_P3HW / 255 - 0.5)
+        image_BNVC = image_PC.reshape(*objects.view_NV.shape, -1)
+        view_BNVC = self.head(torch.cat([image_BNVC, objects.camera_NV12], -1))
+        sum_BNC: Tensor = (view_BNVC * objects.view_NV[..., None]).sum(-2)
+        return sum_BNC / objects.view_NV.sum(-1, keepdim=True).clamp(min=1)
 
 
 class GraphXYZImageFixed(GraphXYZImage):
-    """The same, trained and tested on one fixed camera (the last block of the paper's Table 1)."""
+    """``GraphXYZImage`` trained and tested on one fixed camera (last block of Table 1)."""
 
-    DRAWS = "fixed"
+    CAMERAS = "fixed"
 
 
 class OES(GraphModel):
-    """The paper's model: 3D feature crops of the first frame, carried along with each object.
+    """The paper's model: 3D feature crops of the first frame, moved with each object.
 
-    The paper reads them once, pooled; here they are read anew at every step: as slabs where objects
-    are pushed (see ``oes.dynamics.encoders.crop_encoder``), as height maps where they fall (see
-    ``oes.dynamics.encoders.heightmap_encoder``).
+    The paper pools them once. Here every step encodes them anew: as slabs where objects are pushed
+    (``encoders.crop_encoder``), as height maps where they fall (``encoders.heightmap_encoder``).
     """
 
-    READS_CROPS = True
+    USES_CROPS = True
 
-    def __init__(self, net: NetConfig, seen: InputSpec) -> None:
-        crop, side = net.crop, seen.crop_side
-        extra = (
-            (HEIGHTMAP_NODE_CHANNELS, HEIGHTMAP_EDGE_CHANNELS) if crop.sight == "relief" else (0, 0)
-        )
-        super().__init__(net, seen, appearance=crop.width + extra[0], contact=crop.width + extra[1])
-        channels = min(crop.read, seen.crop_channels) * crop.slabs
-        self.shape = (channels, side, side) if crop.sight == "slabs" else (side, side, side)
-        self.sight: CropEncoder | HeightmapEncoder
-        if crop.sight == "slabs":
-            self.sight = CropEncoder(crop, channels, side, side * seen.voxel_m)
+    def __init__(self, net: NetConfig, inputs: InputSpec) -> None:
+        crop, side, voxel_m = net.crop, inputs.crop_side, inputs.voxel_m
+        self.is_slabs = crop.encoder == "slabs"
+        node, edge = (0, 0) if self.is_slabs else (HEIGHTMAP_NODE_SCALARS, HEIGHTMAP_EDGE_SCALARS)
+        super().__init__(net, inputs, crop.width + node, crop.width + edge)
+        self.encoder: CropEncoder | HeightmapEncoder
+        if self.is_slabs:
+            channels = min(crop.num_channels, inputs.crop_channels) * crop.num_slabs
+            self.crop_shape = (channels, side, side)
+            self.encoder = CropEncoder(crop, channels, side, side * voxel_m)
         else:
-            self.sight = HeightmapEncoder(crop, side, seen.voxel_m, net.graph.unit_m)
+            self.crop_shape = (side, side, side)
+            self.encoder = HeightmapEncoder(crop, side, voxel_m, net.graph.unit_m)
 
-    def look(self, objects: Objects) -> Tensor:
-        """BNC: the crops' slabs, or their masks, flattened, in world axes at t = 0."""
-        crop = self.net.crop
-        if crop.sight == "relief":
+    def encode(self, objects: Objects) -> Tensor:
+        """Slabs, or occupancies, flattened: BNC in world axes at t = 0."""
+        if not self.is_slabs:
             return objects.crop_NCXYZ[:, :, 0].flatten(2)
-        return fold(objects.crop_NCXYZ[:, :, : crop.read], crop.slabs).flatten(2)
+        crop = self.net.crop
+        return fold(objects.crop_NCXYZ[:, :, : crop.num_channels], crop.num_slabs).flatten(2)
 
-    def step(
-        self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> StepMotion:
+    def step(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
         """Motion of every object over one action."""
-        first = appearance_BNC.reshape(*appearance_BNC.shape[:2], *self.shape)
-        if isinstance(self.sight, HeightmapEncoder):
-            sight = self.sight(first, state, action_B3)
-        else:
-            sight = self.sight(first, state, tip_world_B3, action_B3)
-        return cast(
-            StepMotion, self.graph(sight, state, state.turned_BN33[..., 2], tip_world_B3, action_B3)
-        )
+        crops = torch.unflatten(appearance_BNC, -1, self.crop_shape)
+        features: GraphFeatures = self.encoder(crops, state, tip)
+        motion: StepMotion = self.graph(features, state, state.rotation_BN33[..., 2], tip)
+        return motion
 
 
-def _beside(x_B3: Tensor, mirror_33: Tensor) -> Tensor:
-    """Vectors and, after them, their mirror images."""
-    return torch.cat([x_B3, x_B3 @ mirror_33])
+def _mirrored(state: ObjectState, mirror_33: Tensor) -> ObjectState:
+    """State of the mirrored scene; ``mirror_33`` is its own inverse."""
+    return ObjectState(
+        center_BN3=state.center_BN3 @ mirror_33,
+        velocity_BN3=state.velocity_BN3 @ mirror_33,
+        omega_BN3=-state.omega_BN3 @ mirror_33,
+        displacement_BN3=state.displacement_BN3 @ mirror_33,
+        rotation_BN33=mirror_33 @ state.rotation_BN33 @ mirror_33,
+        twist_BN3=state.twist_BN3 * state.twist_BN3.new_tensor([1.0, -1.0, -1.0]),
+        valid_BN=state.valid_BN,
+    )

@@ -1,6 +1,4 @@
-"""Training a dynamics model through its unroll: the errors of every step are propagated back
-through time.
-"""
+"""Training a dynamics model: errors of all steps are propagated back through the unroll."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -12,7 +10,7 @@ from torch import Tensor, nn
 
 from oes.config import params
 from oes.dynamics.augment import Augment, DynamicsBatch, augment
-from oes.dynamics.error_model import ErrorModel, errors_and_spreads, fit_error_model
+from oes.dynamics.error_model import errors_and_spreads, fit_error_model
 from oes.dynamics.examples import Examples
 from oes.dynamics.loss import errors, loss_terms
 from oes.dynamics.models import NetConfig
@@ -23,12 +21,13 @@ from oes.training.loop import fit
 
 @params
 class Variant:
-    """The model ``contact`` trained otherwise, for the ablations: episodes to learn from (0: all),
-    through the unroll or by single steps from true states, whether scenes are augmented, and
-    surfaces the true ones.
+    """Changes of ``contact``'s training for an ablation.
+
+    ``num_episodes``: training episodes (0: all); ``unroll``: as in ``TaskConfig``; ``augment``:
+    whether scenes are augmented; ``gt_surfaces``: ground-truth surfaces as input.
     """
 
-    episodes: int
+    num_episodes: int
     unroll: bool
     augment: bool
     gt_surfaces: bool
@@ -36,32 +35,26 @@ class Variant:
 
 @params
 class TaskConfig:
-    """One task's models: settings of the objects file that they learn from, network, data and
-    training.
+    """Models of one task.
 
-    ``draws`` lists the settings of each kind of views: ``random`` ones, or the ``fixed`` one.
-    ``voxel_m`` is the size of the crops' voxels, ``held_out`` the share of training episodes that
-    only validate; ``soft`` see ``loss_terms``. ``unroll``: whether errors run back through the
-    unroll, or every step begins at the true state. ``fits`` are those of the models that are
-    trained otherwise than by ``fit``; ``variants`` of ``contact``, by word.
+    ``observations``: settings of the objects file to train on, for ``random`` cameras and for the
+    ``fixed`` one. ``weights``, ``smoothing``: of the loss terms. ``unroll``: back-propagate through
+    the unroll, or else train single steps from true states. ``validation_share``: of the training
+    episodes. ``voxel_m``: voxel size of the crops. ``fit_overrides``: training of the models that
+    do not use ``fit``. ``variants``: of ``contact``, by name.
     """
 
-    draws: dict[str, tuple[str, ...]]
+    observations: dict[str, tuple[str, ...]]
     net: NetConfig
     augment: Augment
     weights: dict[str, float]
-    soft: float
+    smoothing: float
     unroll: bool
-    held_out: float
+    validation_share: float
     voxel_m: float
     fit: TrainConfig
-    fits: dict[str, TrainConfig]
+    fit_overrides: dict[str, TrainConfig]
     variants: dict[str, Variant]
-
-    def fit_of(self, word: str) -> TrainConfig:
-        """How a model is trained: ``fit``, but for those that have one of their own."""
-        found: TrainConfig = self.fits.get(word, self.fit)
-        return found
 
 
 @params
@@ -72,55 +65,51 @@ class DynamicsConfig:
     falling: TaskConfig
 
     def of(self, task: str) -> TaskConfig:
-        """A task's settings. Raises ValueError for an unknown task."""
+        """Settings of a task. Raises ValueError for an unknown task."""
         if task not in (names := [field.name for field in fields(self)]):
-            raise ValueError(f"dynamics: unknown task {task!r}; there are: {', '.join(names)}")
+            raise ValueError(f"dynamics: unknown task {task!r}; valid: {', '.join(names)}")
         found: TaskConfig = getattr(self, task)
         return found
 
 
 def train_dynamics(
-    model: DynamicsModel, examples: Examples, cfg: TaskConfig, settings: TrainConfig, work: Path
+    model: DynamicsModel, examples: Examples, cfg: TaskConfig, fit_cfg: TrainConfig, work: Path
 ) -> list[dict[str, float]]:
-    """Train in place; the log's rows carry the errors (mm, deg) on held-out episodes as the run
-    goes.
-    """
-    train_D, held_D = examples.split(cfg.held_out)
+    """Train in place and calibrate; the log has validation errors (mm, deg)."""
+    train_U, validation_U = examples.split(cfg.validation_share)
+    validation = examples.batch(validation_U)
 
     def batch_at(step: int) -> DynamicsBatch:
-        generator = torch.Generator().manual_seed(settings.seed * 1_000_003 + step)
-        chosen = torch.randint(len(train_D), (settings.batch,), generator=generator)
-        return augment(examples.batch(train_D[chosen]), cfg.augment, examples.voxel_m, generator)
+        generator = torch.Generator().manual_seed(fit_cfg.seed * 1_000_003 + step)
+        i_B = torch.randint(len(train_U), (fit_cfg.batch,), generator=generator)
+        return augment(examples.batch(train_U[i_B]), cfg.augment, examples.voxel_m, generator)
 
     def loss(learner: nn.Module, batch: DynamicsBatch) -> Mapping[str, Tensor]:
-        run, truth = (
-            (unroll, ())
-            if cfg.unroll
-            else (teacher_forced, (batch.translation_BTN3, batch.rotation_BTN33))
-        )
-        found = run(
-            cast(DynamicsModel, learner), batch.objects, batch.tip_B3, batch.actions_BT3, *truth
-        )
-        return loss_terms(found, batch, cfg.net.graph.unit_m, cfg.soft)
+        inputs = cast(DynamicsModel, learner), batch.objects, batch.tip_B3, batch.actions_BT3
+        if cfg.unroll:
+            found = unroll(*inputs)
+        else:
+            found = teacher_forced(*inputs, batch.translation_BTN3, batch.rotation_BTN33)
+        return loss_terms(found, batch, cfg.net.graph.unit_m, cfg.smoothing)
 
     def validate(learner: nn.Module) -> Mapping[str, float]:
-        held = examples.batch(held_D)
-        return errors(
-            unroll(cast(DynamicsModel, learner), held.objects, held.tip_B3, held.actions_BT3), held
-        )
+        model = cast(DynamicsModel, learner)
+        found = unroll(model, validation.objects, validation.tip_B3, validation.actions_BT3)
+        return errors(found, validation)
 
-    rows = fit(model, batch_at, loss, cfg.weights, settings, work, torch.device("cpu"), validate)
+    rows = fit(model, batch_at, loss, cfg.weights, fit_cfg, work, torch.device("cpu"), validate)
     if model.num_samples > 1:
-        model.error_model = calibrate(model, examples.batch(held_D))
+        calibrate(model, validation)
     return rows
 
 
 @torch.no_grad()
-def calibrate(model: DynamicsModel, held: DynamicsBatch) -> ErrorModel:
-    """What a trained model's draws are worth on scenes it has not learned from."""
-    found = unroll(model, held.objects, held.tip_B3, held.actions_BT3)
+def calibrate(model: DynamicsModel, validation: DynamicsBatch) -> None:
+    """Fit the model's error model to its errors and spreads on held-out scenes."""
+    found = unroll(model, validation.objects, validation.tip_B3, validation.actions_BT3)
     assert found.spread_BTN is not None
-    away = errors_and_spreads(
-        found.translation_BTN3, held.translation_BTN3, found.spread_BTN, held.objects.valid_N
+    predicted, true = found.translation_BTN3, validation.translation_BTN3
+    valid_BN = validation.objects.valid_N
+    model.error_model = fit_error_model(
+        *errors_and_spreads(predicted, true, found.spread_BTN, valid_BN)
     )
-    return fit_error_model(*away)

@@ -1,1 +1,5 @@
-"""Encoders of an object at the moment of contact: crop slabs, height maps, surface points."""
+"""Encoders of object shapes for the graph network: crop slabs, height maps, surface points.
+
+Each turns the first frame's shapes and the current ``ObjectState`` into ``GraphFeatures``. May
+import ``dynamics.graph`` and ``dynamics.shapes``. Start with ``crop_encoder``.
+"""

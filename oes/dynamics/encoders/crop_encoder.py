@@ -1,11 +1,9 @@
-"""Shapes at the moment of contact: crops folded into horizontal slabs and read in windows that the
-action places.
+"""Encoder of pushed objects: crops averaged into horizontal slabs, resampled in the action's axes.
 
-Where the tip passes an object's side decides how it moves and turns, and a feature pooled over the
-whole crop blurs just that. So the crop of the first frame is carried along with the object and
-looked at anew at every step, from above, in axes turned so that the action points along x: around
-the object, around the tip's path, and between two objects. Only turns about the vertical are
-followed.
+Where the tip passes an object's side decides how it moves and rotates; features pooled over the
+whole crop lose that. The first frame's crop therefore moves with the object, and every step samples
+it anew from above in three windows: around the object, around the tip's path, and midway between
+two objects. Only rotations about the vertical are followed.
 """
 
 from typing import Literal
@@ -18,159 +16,130 @@ from oes.config import params
 from oes.dynamics.graph import (
     GraphFeatures,
     ObjectState,
-    action_axes,
+    TipMotion,
     conv_encoder,
-    distinct_pairs,
     mlp,
+    pair_indices,
+    scatter_pairs,
     yaw,
 )
 
-BEHIND_CELLS = 5  # of the window around the tip's path; the rest lies ahead
+BEHIND_CELLS = 5  # of the path window; the rest lies ahead of the tip
 FAR_M = 0.07
-NOWHERE_M = 1e3  # where the path of an absent tip is
-PATH = 2
+NOWHERE_M = 1e3  # path of an absent tip
+PATH_CHANNELS = 2
 
-SlabGrid = tuple[
-    Tensor, Tensor, Tensor
-]  # slabs BNKXY at t = 0, where the objects are BN3, their turn since BN (radians)
+Slabs = tuple[Tensor, Tensor, Tensor]  # slabs BNCXY at t = 0, centres BN3, yaws since then BN
 
 
 @params
 class CropConfig:
-    """How crops are read. ``sight`` is ``slabs`` (what is pushed: turns about the vertical, around
-    the tip's path) or ``relief`` (what falls: the mask alone, any turn;
-    ``oes.dynamics.encoders.heightmap_encoder``). Slabs read so many channels (the mask is the
-    first), folded into ``slabs`` of height. Then: output channels of the 2D convolutions (stride 2
-    each) and the width of the two layers after them; the size of a cell of the windows around an
-    object and between two (as many cells as the crop has), and around the tip's path.
+    """How crops are encoded.
+
+    ``encoder``: ``slabs`` where objects are pushed, ``heightmap`` where they fall (see
+    ``oes.dynamics.encoders.heightmap_encoder``). Slabs use the first ``num_channels`` channels (the
+    mask is the first), averaged into ``num_slabs`` of the height. ``channels``: of the stride-2
+    convolutions; ``width``: of the two layers after them. ``cell_m``: cell size of the windows
+    around and between objects; ``path_cell_m``: around the tip's path.
     """
 
-    sight: Literal["slabs", "relief"]
-    read: int
-    slabs: int
+    encoder: Literal["slabs", "heightmap"]
+    num_channels: int
+    num_slabs: int
     channels: tuple[int, ...]
     width: int
     cell_m: float
     path_cell_m: float
 
 
-def fold(crop_BNCXYZ: Tensor, slabs: int) -> Tensor:
-    """Slabs BNKXY of crops, K = C x ``slabs``: means over equal parts of the height."""
-    return (
-        crop_BNCXYZ.reshape(*crop_BNCXYZ.shape[:-1], slabs, -1)
-        .mean(-1)
-        .movedim(-1, 3)
-        .flatten(2, 3)
-    )
+def fold(crop_BNCXYZ: Tensor, num_slabs: int) -> Tensor:
+    """Slabs of crops, BN(C x num_slabs)XY: means over equal parts of the height."""
+    slabs_BNCXYS = torch.unflatten(crop_BNCXYZ, -1, (num_slabs, -1)).mean(-1)
+    return slabs_BNCXYS.movedim(-1, 3).flatten(2, 3)
 
 
-class SlabNet(nn.Module):
-    """Window images PKXY to features PC: 2D convolutions, then two fully connected layers."""
+class WindowNet(nn.Module):
+    """CNN from window images ...CXY to features ...C."""
 
     def __init__(self, inputs: int, cfg: CropConfig, side: int) -> None:
         super().__init__()
         self.convs = conv_encoder(inputs, cfg.channels, kernel_px=4)
-        self.join = mlp(cfg.channels[-1] * (side >> len(cfg.channels)) ** 2, cfg.width, 2)
+        self.head = mlp(cfg.channels[-1] * (side >> len(cfg.channels)) ** 2, cfg.width, 2)
 
-    def forward(self, image_PKXY: Tensor) -> Tensor:
-        """Features PC."""
-        features: Tensor = self.join(self.convs(image_PKXY))
-        return features
+    def forward(self, image_CXY: Tensor) -> Tensor:
+        """Features of images with any leading axes."""
+        features_PC: Tensor = self.head(self.convs(image_CXY.flatten(0, -4)))
+        return features_PC.reshape(*image_CXY.shape[:-3], features_PC.shape[-1])
 
 
 class CropEncoder(nn.Module):
-    """The three readings of one step. No gradient runs back through where the windows lie."""
+    """Graph features of one step from slabs. No gradient flows through the windows' positions."""
 
-    here_P3: Tensor
-    path_P3: Tensor
+    window_P3: Tensor
+    path_window_P3: Tensor
 
     def __init__(self, cfg: CropConfig, channels: int, side: int, crop_m: float) -> None:
         super().__init__()
         self.side, self.crop_m = side, crop_m
-        self.own = SlabNet(channels, cfg, side)
-        self.path = SlabNet(channels + PATH, cfg, side)
-        self.pair = SlabNet(2 * channels, cfg, side)
-        half = side / 2
-        self.register_buffer("here_P3", window(side, cfg.cell_m, (half, half)), persistent=False)
-        self.register_buffer(
-            "path_P3", window(side, cfg.path_cell_m, (BEHIND_CELLS, half)), persistent=False
-        )
+        self.node = WindowNet(channels, cfg, side)
+        self.agent = WindowNet(channels + PATH_CHANNELS, cfg, side)
+        self.edge = WindowNet(2 * channels, cfg, side)
+        centered = window(side, cfg.cell_m, (side / 2, side / 2))
+        ahead = window(side, cfg.path_cell_m, (BEHIND_CELLS, side / 2))
+        self.register_buffer("window_P3", centered, persistent=False)
+        self.register_buffer("path_window_P3", ahead, persistent=False)
 
-    def forward(
-        self, slabs_BNKXY: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> GraphFeatures:
-        """``slabs_BNKXY`` as at t = 0; the tip goes from ``tip_world_B3`` by ``action_B3``
-        (metres).
-        """
-        axes_B33 = action_axes(action_B3)
-        shapes = (slabs_BNKXY, state.center_BN3.detach(), yaw(state.turned_BN33.detach()))
-        here_BP3 = self.here_P3 @ axes_B33.mT
-        path_BP3 = tip_world_B3.nan_to_num(nan=NOWHERE_M)[:, None] + self.path_P3 @ axes_B33.mT
-        return GraphFeatures(
-            own_BNC=_each(self.own, self._look(shapes, shapes[1][:, :, None] + here_BP3[:, None])),
-            path_BNC=_each(self.path, self._path(shapes, path_BP3, action_B3)),
-            pair_BNNC=self._pairs(shapes, here_BP3),
-        )
-
-    def _path(self, shapes: SlabGrid, path_BP3: Tensor, action_B3: Tensor) -> Tensor:
-        """Shapes in the window around the tip's path, and the path itself, BNKXY."""
-        num = shapes[0].shape[1]
-        seen_BNKXY = self._look(shapes, path_BP3[:, None].expand(-1, num, -1, -1))
-        return torch.cat(
-            [seen_BNKXY, self._swept(action_B3)[:, None].expand(-1, num, -1, -1, -1)], 2
-        )
-
-    def _pairs(self, shapes: SlabGrid, here_BP3: Tensor) -> Tensor:
-        """Features BNNC of both shapes in the window midway between a receiver (first N) and a
-        sender; 0 to itself.
-        """
-        slabs_BNKXY, center_BN3, turned_BN = shapes
-        num = center_BN3.shape[1]
-        receivers, senders = distinct_pairs(num, center_BN3.device).nonzero().unbind(1)
-        ends = [
-            (slabs_BNKXY[:, i], center_BN3[:, i], turned_BN[:, i]) for i in (receivers, senders)
+    def forward(self, slabs_BNCXY: Tensor, state: ObjectState, tip: TipMotion) -> GraphFeatures:
+        """Features in the action's axes; ``slabs_BNCXY`` as at t = 0."""
+        slabs = (slabs_BNCXY, state.center_BN3.detach(), yaw(state.rotation_BN33.detach()))
+        num, axes_B33 = slabs_BNCXY.shape[1], tip.axes_B33()
+        window_B1P3 = (self.window_P3 @ axes_B33.mT)[:, None]
+        node = self.sample(slabs, slabs[1][:, :, None] + window_B1P3)
+        start_B13 = tip.start_B3.nan_to_num(nan=NOWHERE_M)[:, None]
+        path_BP3 = start_B13 + self.path_window_P3 @ axes_B33.mT
+        near_path = self.sample(slabs, path_BP3[:, None].expand(-1, num, -1, -1))
+        path = self._path_image(tip.action_B3)[:, None].expand(-1, num, -1, -1, -1)
+        ends: list[Slabs] = [
+            (slabs[0][:, i_E], slabs[1][:, i_E], slabs[2][:, i_E])
+            for i_E in pair_indices(num, axes_B33.device)
         ]
-        between_BEP3 = ((ends[0][1] + ends[1][1]) / 2)[:, :, None] + here_BP3[:, None]
-        found_BEC = _each(self.pair, torch.cat([self._look(end, between_BEP3) for end in ends], 2))
-        pair_BNNC = found_BEC.new_zeros(len(found_BEC), num, num, found_BEC.shape[-1])
-        pair_BNNC[:, receivers, senders] = found_BEC
-        return pair_BNNC
+        between_BEP3 = ((ends[0][1] + ends[1][1]) / 2)[:, :, None] + window_B1P3
+        edge = torch.cat([self.sample(end, between_BEP3) for end in ends], 2)
+        return GraphFeatures(
+            node_BNC=self.node(node),
+            agent_BNC=self.agent(torch.cat([near_path, path], 2)),
+            edge_BNNC=scatter_pairs(self.edge(edge), num),
+        )
 
-    def _look(self, shapes: SlabGrid, points_BNP3: Tensor) -> Tensor:
-        """Slabs BNKXY as they are now at world points BNP3 (a window's cells); zero outside the
-        crop.
+    def sample(self, slabs: Slabs, points_BNP3: Tensor) -> Tensor:
+        """Slabs BNCXY, moved with the objects, at world points (the cells of one window each).
+
+        Points outside an object's crop are 0.
         """
-        slabs_BNKXY, center_BN3, turned_BN = shapes
+        slabs_BNCXY, center_BN3, yaw_BN = slabs
         x_BNP, y_BNP, _ = (points_BNP3 - center_BN3[:, :, None]).unbind(-1)
-        cos, sin = turned_BN.cos()[..., None], turned_BN.sin()[..., None]
+        cos, sin = yaw_BN.cos()[..., None], yaw_BN.sin()[..., None]
         first_BNP2 = torch.stack([cos * x_BNP + sin * y_BNP, cos * y_BNP - sin * x_BNP], -1)
-        unit = (first_BNP2 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, 2)
-        seen = F.grid_sample(slabs_BNKXY.flatten(0, 1), unit, align_corners=False)
-        return seen.reshape(slabs_BNKXY.shape)
+        # grid_sample wants (last axis, second to last axis), in units of half the crop.
+        grid = (first_BNP2 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, 2)
+        sampled = F.grid_sample(slabs_BNCXY.flatten(0, 1), grid, align_corners=False)
+        return sampled.reshape(slabs_BNCXY.shape)
 
-    def _swept(self, action_B3: Tensor) -> Tensor:
-        """Distances of the path window's cells from the tip's path and from its start, B2XY, about
-        [-0.5, 1.2].
-        """
+    def _path_image(self, action_B3: Tensor) -> Tensor:
+        """Scaled distances B2XY of the path window's cells from the tip's path and its start."""
         length_B1 = action_B3[:, :2].norm(dim=-1, keepdim=True)
-        along_P, aside_P = self.path_P3[:, 0], self.path_P3[:, 1]
-        past_BP = along_P - along_P.clamp(min=0).minimum(length_B1)
-        path_BP = torch.hypot(past_BP, aside_P)
-        start_BP = torch.hypot(along_P, aside_P).expand_as(path_BP)
-        near = torch.stack([path_BP, start_BP], 1).clamp(max=FAR_M) / 0.04 - 0.5
-        return near.reshape(-1, PATH, self.side, self.side)
-
-
-def _each(net: nn.Module, image_BNKXY: Tensor) -> Tensor:
-    """Features BNC of every window image."""
-    features: Tensor = net(image_BNKXY.flatten(0, 1))
-    return features.reshape(*image_BNKXY.shape[:2], features.shape[-1])
+        along_P, across_P = self.path_window_P3[:, 0], self.path_window_P3[:, 1]
+        beyond_BP = along_P - along_P.clamp(min=0).minimum(length_B1)
+        from_path_BP = torch.hypot(beyond_BP, across_P)
+        from_start_BP = torch.hypot(along_P, across_P).expand_as(from_path_BP)
+        distance_B2P = torch.stack([from_path_BP, from_start_BP], 1)
+        # Inputs of about [-0.5, 1.2]: distances beyond FAR_M all look alike.
+        scaled_B2P = distance_B2P.clamp(max=FAR_M) / 0.04 - 0.5
+        return scaled_B2P.reshape(-1, PATH_CHANNELS, self.side, self.side)
 
 
 def window(side: int, cell_m: float, origin: tuple[float, float]) -> Tensor:
-    """Centres P3 of side x side horizontal cells; ``origin`` is where (0, 0) lies, counted in
-    cells.
-    """
+    """Centres P3 of side x side horizontal cells; ``origin``: position of (0, 0), in cells."""
     lines = [(torch.arange(side) + 0.5 - first) * cell_m for first in origin]
     x, y = torch.meshgrid(*lines, indexing="ij")
     return torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3)

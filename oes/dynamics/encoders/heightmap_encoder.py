@@ -1,11 +1,9 @@
-"""Shapes in free motion: the undersides and tops of objects as they lie now, as height maps.
+"""Encoder of falling objects: height maps of undersides and tops in their current orientation.
 
-What falls comes to rest on what is beneath it: the height of its underside above the table and
-above the others' tops decides when and where it is stopped, and how that makes it turn. So the
-first frame's mask is carried along with the object, turned as it has turned (about any axis), and
-seen as two height maps: its underside from below, its top from above. A window of them is read by
-convolutions; the place where two surfaces are closest, and how they slope there, is given as
-numbers too.
+The clearance of an object's underside above the table and above other objects' tops decides when
+and where it stops, and how it rotates then. The first frame's mask therefore moves with the object
+(rotations about any axis) and every step renders it as two height maps, which a CNN reads. The
+closest points of two surfaces and the slopes there are given as numbers too.
 """
 
 from typing import cast
@@ -14,186 +12,183 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from oes.dynamics.encoders.crop_encoder import CropConfig, SlabNet, window
-from oes.dynamics.graph import GraphFeatures, ObjectState, action_axes, valid_pairs
+from oes.dynamics.encoders.crop_encoder import CropConfig, WindowNet, window
+from oes.dynamics.graph import GraphFeatures, ObjectState, TipMotion, valid_pairs
 
-OWN, PAIR = 4, 8  # channels of the two kinds of window
-SPOT = 4  # numbers about the place where two surfaces are closest
-SLOPES = 2  # of a surface there, along x and along y
-HEIGHTMAP_NODE_CHANNELS, HEIGHTMAP_EDGE_CHANNELS = (
-    SPOT,
-    4 * (SPOT + SLOPES),
-)  # how much wider than what the convolutions give
-CLOSE_M, AROUND_M = (
-    0.003,
-    0.006,
-)  # what is farther than the closest place by so much counts for less: its place, slope
-STEEP = 3.0
-SOLID = 0.5
+NODE_MAPS, EDGE_MAPS = 4, 8  # channels of the window images
+GAP_SCALARS = 4  # existence, size and position (2) of the smallest gap
+SLOPE_SCALARS = 2  # along x and y
+HEIGHTMAP_NODE_SCALARS = GAP_SCALARS
+HEIGHTMAP_EDGE_SCALARS = 4 * (GAP_SCALARS + SLOPE_SCALARS)
+# Length scales of the soft minimum over a gap: for its position, and for the slope around it.
+GAP_SOFTNESS_M, SLOPE_SOFTNESS_M = 0.003, 0.006
+MAX_SLOPE = 3.0
+MIN_COVERAGE = 0.5
 
-Ends = tuple[Tensor, Tensor]
-HeightMaps = tuple[
-    Tensor, Tensor, Tensor
-]  # PXY: covered (0 to 1), covered x underside, covered x top (metres from centre)
+Ends = tuple[Tensor, Tensor]  # receivers E and senders E among the O objects
+# Maps OXY: coverage (0 to 1), coverage x underside, coverage x top (metres from the centre).
+HeightMaps = tuple[Tensor, Tensor, Tensor]
 
 
 class HeightmapEncoder(nn.Module):
-    """Readings of one step, in the action's axes; of the tip nothing is read. No gradient runs back
-    through how the objects lie. P counts the objects that exist in all scenes, Q the pairs of them
-    (receiver, sender).
+    """Graph features of one step from height maps; the tip is ignored.
+
+    No gradient flows through the objects' poses. O counts the valid objects of all scenes, E the
+    pairs of them.
     """
 
-    points_V3: Tensor
-    window_W2: Tensor
+    voxels_P3: Tensor
+    window_Q2: Tensor
 
     def __init__(self, cfg: CropConfig, side: int, voxel_m: float, unit_m: float) -> None:
-        """``unit_m`` is the height that counts as 1."""
+        """Heights are divided by ``unit_m``."""
         super().__init__()
         self.side, self.crop_m, self.cell_m, self.unit_m = side, side * voxel_m, cfg.cell_m, unit_m
-        self.own = SlabNet(OWN, cfg, side)
-        self.pair = SlabNet(PAIR, cfg, side)
+        self.node = WindowNet(NODE_MAPS, cfg, side)
+        self.edge = WindowNet(EDGE_MAPS, cfg, side)
         line = (torch.arange(side) + 0.5 - side / 2) * voxel_m
-        self.register_buffer("points_V3", torch.cartesian_prod(line, line, line), persistent=False)
-        self.register_buffer(
-            "window_W2", window(side, cfg.cell_m, (side / 2, side / 2))[:, :2], persistent=False
-        )
+        cells = window(side, cfg.cell_m, (side / 2, side / 2))[:, :2]
+        self.register_buffer("voxels_P3", torch.cartesian_prod(line, line, line), persistent=False)
+        self.register_buffer("window_Q2", cells, persistent=False)
 
-    def forward(self, mask_BNXYZ: Tensor, state: ObjectState, action_B3: Tensor) -> GraphFeatures:
-        """``mask_BNXYZ``: probabilities at t = 0, centred at the objects, in world axes."""
-        valid_BN, both_BNN = state.valid_BN, valid_pairs(state.valid_BN)
+    def forward(self, mask_BNXYZ: Tensor, state: ObjectState, tip: TipMotion) -> GraphFeatures:
+        """Features in the action's axes; ``mask_BNXYZ``: occupancy in world axes at t = 0."""
+        valid_BN, pairs_BNN = state.valid_BN, valid_pairs(state.valid_BN)
         with torch.no_grad():
-            axes_B33 = action_axes(action_B3)
-            center_P3 = (state.center_BN3 @ axes_B33)[valid_BN]
-            maps = self.maps(
-                mask_BNXYZ[valid_BN], (axes_B33.mT[:, None] @ state.turned_BN33)[valid_BN]
-            )
-            ends = _ends(valid_BN, both_BNN)
-            own_P4XY, pair_Q8XY = (
-                self.own_windows(maps, center_P3),
-                self.pair_windows(maps, center_P3, ends),
-            )
-            lowest_PC, closest_QC = self.lowest(own_P4XY), self.closest(pair_Q8XY, center_P3, ends)
-        own_PC = torch.cat([self.own(own_P4XY), lowest_PC], -1)
-        pair_QC = torch.cat([self.pair(pair_Q8XY), closest_QC], -1)
-        own_BNC = own_PC.new_zeros(*valid_BN.shape, own_PC.shape[-1]).index_put((valid_BN,), own_PC)
-        pair_BNNC = pair_QC.new_zeros(*both_BNN.shape, pair_QC.shape[-1]).index_put(
-            (both_BNN,), pair_QC
+            axes_B33, ends = tip.axes_B33(), _ends(valid_BN, pairs_BNN)
+            center_O3 = (state.center_BN3 @ axes_B33)[valid_BN]
+            rotation_O33 = (axes_B33.mT[:, None] @ state.rotation_BN33)[valid_BN]
+            maps = self.maps(mask_BNXYZ[valid_BN], rotation_O33)
+            node_O4XY = self.node_windows(maps, center_O3)
+            edge_E8XY = self.edge_windows(maps, center_O3, ends)
+            table_gap_OC = self.table_gaps(node_O4XY)
+            object_gap_EC = self.object_gaps(edge_E8XY, center_O3, ends)
+        edge_BNNC = _scatter(torch.cat([self.edge(edge_E8XY), object_gap_EC], -1), pairs_BNN)
+        return GraphFeatures(
+            node_BNC=_scatter(torch.cat([self.node(node_O4XY), table_gap_OC], -1), valid_BN),
+            agent_BNC=torch.zeros_like(edge_BNNC[:, :, 0]),
+            edge_BNNC=edge_BNNC,
         )
-        return GraphFeatures(own_BNC, torch.zeros_like(pair_BNNC[:, :, 0]), pair_BNNC)
 
-    def maps(self, mask_PXYZ: Tensor, turned_P33: Tensor) -> HeightMaps:
-        """Height maps, from each object's centre, of the masks turned by ``turned_P33``."""
-        first_PV3 = self.points_V3 @ turned_P33
-        grid = (
-            (first_PV3 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, self.side, 3)
-        )
-        now_PXYZ = F.grid_sample(mask_PXYZ[:, None], grid, align_corners=False)[:, 0]
-        height_Z = self.points_V3[: self.side, 2]
-        under, top = _first(now_PXYZ) @ height_Z, _first(now_PXYZ.flip(-1)) @ height_Z.flip(0)
-        return 1 - (1 - now_PXYZ).prod(-1), under, top
+    def maps(self, mask_OXYZ: Tensor, rotation_O33: Tensor) -> HeightMaps:
+        """Height maps, from each object's centre, of masks rotated by ``rotation_O33``."""
+        first_OP3 = self.voxels_P3 @ rotation_O33
+        grid = (first_OP3 * (2 / self.crop_m)).flip(-1).reshape(-1, *[self.side] * 3, 3)
+        now_OXYZ = F.grid_sample(mask_OXYZ[:, None], grid, align_corners=False)[:, 0]
+        height_Z = self.voxels_P3[: self.side, 2]
+        # Expected height of the first occupied voxel that a vertical ray meets, from either side.
+        underside = _first_hit(now_OXYZ) @ height_Z
+        top = _first_hit(now_OXYZ.flip(-1)) @ height_Z.flip(0)
+        return 1 - (1 - now_OXYZ).prod(-1), underside, top
 
-    def own_windows(self, maps: HeightMaps, center_P3: Tensor) -> Tensor:
-        """P4XY: covered; underside above the table; underside and top from the centre."""
-        covered, under, top = maps
-        above_table = under + covered * center_P3[:, 2, None, None]
-        return torch.stack([covered, *(x / self.unit_m for x in (above_table, under, top))], 1)
+    def node_windows(self, maps: HeightMaps, center_O3: Tensor) -> Tensor:
+        """O4XY: coverage, underside above the table, underside and top from the centre."""
+        coverage, underside, top = maps
+        above_table = underside + coverage * center_O3[:, 2, None, None]
+        return torch.stack([coverage, *(x / self.unit_m for x in (above_table, underside, top))], 1)
 
-    def pair_windows(self, maps: HeightMaps, center_P3: Tensor, ends: Ends) -> Tensor:
-        """Q8XY, midway between receivers and senders: both objects' maps, heights from the
-        receiver's centre; the gap from the receiver's underside down to the sender's top, and the
-        other way round.
+    def edge_windows(self, maps: HeightMaps, center_O3: Tensor, ends: Ends) -> Tensor:
+        """E8XY, midway between receivers and senders: coverages, undersides, tops, gaps.
+
+        Heights are from the receiver's centre. The gaps are from the receiver's underside down to
+        the sender's top, and from the sender's underside down to the receiver's top.
         """
-        middle_Q2 = (center_P3[ends[0], :2] + center_P3[ends[1], :2]) / 2
-        maps_P3XY = torch.stack(maps, 1)
-        covered, under, top = zip(
-            *(self._look(maps_P3XY, center_P3, end, middle_Q2) for end in ends), strict=True
+        middle_E2 = (center_O3[ends[0], :2] + center_O3[ends[1], :2]) / 2
+        maps_O3XY = torch.stack(maps, 1)
+        coverage, underside, top = zip(
+            *(self._resample(maps_O3XY, center_O3, end_E, middle_E2) for end_E in ends), strict=True
         )
-        lift_Q = (center_P3[ends[1], 2] - center_P3[ends[0], 2])[:, None, None]
-        under, top = (
-            (under[0], under[1] + covered[1] * lift_Q),
-            (top[0], top[1] + covered[1] * lift_Q),
-        )
+        rise_E = (center_O3[ends[1], 2] - center_O3[ends[0], 2])[:, None, None]
+        undersides = (underside[0], underside[1] + coverage[1] * rise_E)
+        tops = (top[0], top[1] + coverage[1] * rise_E)
+        # Heights are multiplied by coverage, so each factor of a difference needs the other's.
         gaps = [
-            under[0] * covered[1] - top[1] * covered[0],
-            under[1] * covered[0] - top[0] * covered[1],
+            undersides[0] * coverage[1] - tops[1] * coverage[0],
+            undersides[1] * coverage[0] - tops[0] * coverage[1],
         ]
-        return torch.stack([*covered, *(x / self.unit_m for x in (*under, *top, *gaps))], 1)
+        heights = (x / self.unit_m for x in (*undersides, *tops, *gaps))
+        return torch.stack([*coverage, *heights], 1)
 
-    def lowest(self, own_P4XY: Tensor) -> Tensor:
-        """Where an object's underside is closest to the table, PC, from its centre."""
-        covered, above_table = own_P4XY[:, 0], own_P4XY[:, 1]
-        gap = above_table / covered.clamp(min=SOLID)
-        return self._spots(gap, covered > SOLID, torch.zeros_like(covered[:, 0, :2]))
+    def table_gaps(self, node_O4XY: Tensor) -> Tensor:
+        """Smallest gap OC between underside and table, located from the object's centre."""
+        coverage, above_table = node_O4XY[:, 0], node_O4XY[:, 1]
+        gap = above_table / coverage.clamp(min=MIN_COVERAGE)
+        return self._smallest(gap, coverage > MIN_COVERAGE, torch.zeros_like(coverage[:, 0, :2]))
 
-    def closest(self, pair_Q8XY: Tensor, center_P3: Tensor, ends: Ends) -> Tensor:
-        """Where the receiver's underside is closest to the sender's top, and the reverse, from both
-        centres, and how those two surfaces slope there: QC.
+    def object_gaps(self, edge_E8XY: Tensor, center_O3: Tensor, ends: Ends) -> Tensor:
+        """Smallest gaps EC of a pair, with either object on top, and the slopes of both surfaces.
+
+        Each gap is located from both centres.
         """
-        half_Q2 = (center_P3[ends[1], :2] - center_P3[ends[0], :2]) / 2
-        covered, under, top, gaps = pair_Q8XY.reshape(-1, 4, 2, self.side, self.side).unbind(1)
-        both = covered.prod(1)
-        is_there = both > SOLID**2
+        half_E2 = (center_O3[ends[1], :2] - center_O3[ends[0], :2]) / 2
+        coverage, underside, top, gaps = torch.unflatten(edge_E8XY, 1, (4, 2)).unbind(1)
+        both = coverage.prod(1)
+        exists = both > MIN_COVERAGE**2
         found = []
         for above, below in ((0, 1), (1, 0)):
-            gap = gaps[:, above] / both.clamp(min=SOLID**2)
-            found.append(self._spots(gap, is_there, half_Q2, -half_Q2))
+            gap = gaps[:, above] / both.clamp(min=MIN_COVERAGE**2)
             found += [
-                self._slope(surface[:, end], covered[:, end], gap, is_there)
-                for surface, end in ((under, above), (top, below))
+                self._smallest(gap, exists, half_E2, -half_E2),
+                self._slope(underside[:, above], coverage[:, above], gap, exists),
+                self._slope(top[:, below], coverage[:, below], gap, exists),
             ]
         return torch.cat(found, -1)
 
-    def _spots(self, gap_PXY: Tensor, is_there_PXY: Tensor, *offsets_P2: Tensor) -> Tensor:
-        """Whether two surfaces face each other at all, how far apart (units), and where from a
-        point that lies an offset before the window's middle (units): PC, such numbers for each of
-        ``offsets_P2``.
+    def _smallest(self, gap_OXY: Tensor, exists_OXY: Tensor, *offsets_O2: Tensor) -> Tensor:
+        """Existence, size and position of the smallest gap, OC; four numbers per offset.
+
+        Positions are relative to a point that lies an offset before the window's centre.
         """
-        gap, is_there = gap_PXY.flatten(1), is_there_PXY.flatten(1)
-        near = torch.where(is_there, -gap * (self.unit_m / CLOSE_M), -torch.inf)
-        weight = near.softmax(-1).nan_to_num()
-        any_P1 = is_there.any(-1, keepdim=True).float()
-        closest_P1, place_P2 = (weight * gap).sum(-1, keepdim=True), weight @ self.window_W2
-        spots = [
-            (any_P1, closest_P1, (place_P2 + offset_P2) / self.unit_m * any_P1)
-            for offset_P2 in offsets_P2
-        ]
-        return torch.cat([number for spot in spots for number in spot], -1)
+        gap, exists = gap_OXY.flatten(1), exists_OXY.flatten(1)
+        near = torch.where(exists, -gap * (self.unit_m / GAP_SOFTNESS_M), -torch.inf)
+        weight = near.softmax(-1).nan_to_num()  # NaN where nothing exists: -inf everywhere
+        exists_O1 = exists.any(-1, keepdim=True).float()
+        size_O1, position_O2 = (weight * gap).sum(-1, keepdim=True), weight @ self.window_Q2
+        scalars = []
+        for offset_O2 in offsets_O2:
+            scalars += [exists_O1, size_O1, (position_O2 + offset_O2) / self.unit_m * exists_O1]
+        return torch.cat(scalars, -1)
 
     def _slope(
-        self, surface_PXY: Tensor, covered_PXY: Tensor, gap_PXY: Tensor, is_there_PXY: Tensor
+        self, surface_OXY: Tensor, coverage_OXY: Tensor, gap_OXY: Tensor, exists_OXY: Tensor
     ) -> Tensor:
-        """Slopes P2 (rise over run, along x and y) of a surface around where a gap is smallest; 0
-        where none is.
-        """
-        height = surface_PXY / covered_PXY.clamp(min=SOLID) * self.unit_m
-        solid = covered_PXY > SOLID
+        """Slopes O2 (rise over run along x and y) of a surface near the smallest gap, else 0."""
+        height = surface_OXY / coverage_OXY.clamp(min=MIN_COVERAGE) * self.unit_m
+        is_covered = coverage_OXY > MIN_COVERAGE
         slopes = []
         for axis in (1, 2):
             rise = (height.roll(-1, axis) - height.roll(1, axis)) / (2 * self.cell_m)
-            whole = is_there_PXY & solid.roll(-1, axis) & solid.roll(1, axis)
-            near = torch.where(whole, -gap_PXY * (self.unit_m / AROUND_M), -torch.inf).flatten(1)
-            weight = near.softmax(-1).nan_to_num()
-            slopes.append((weight * rise.clamp(-STEEP, STEEP).flatten(1)).sum(-1))
+            # Central differences need both neighbours on the surface.
+            is_inside = exists_OXY & is_covered.roll(-1, axis) & is_covered.roll(1, axis)
+            near = torch.where(is_inside, -gap_OXY * (self.unit_m / SLOPE_SOFTNESS_M), -torch.inf)
+            weight = near.flatten(1).softmax(-1).nan_to_num()
+            slopes.append((weight * rise.clamp(-MAX_SLOPE, MAX_SLOPE).flatten(1)).sum(-1))
         return torch.stack(slopes, -1)
 
-    def _look(
-        self, maps_P3XY: Tensor, center_P3: Tensor, end_Q: Tensor, middle_Q2: Tensor
+    def _resample(
+        self, maps_O3XY: Tensor, center_O3: Tensor, end_E: Tensor, middle_E2: Tensor
     ) -> HeightMaps:
-        """The maps of objects ``end_Q`` in windows around ``middle_Q2``."""
-        away_QW2 = middle_Q2[:, None] + self.window_W2 - center_P3[end_Q, None, :2]
-        grid = (away_QW2 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, 2)
-        seen = F.grid_sample(maps_P3XY[end_Q], grid, align_corners=False)
-        return cast(HeightMaps, seen.unbind(1))
+        """Maps of objects ``end_E`` in windows around ``middle_E2``."""
+        offset_EQ2 = middle_E2[:, None] + self.window_Q2 - center_O3[end_E, None, :2]
+        grid = (offset_EQ2 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, 2)
+        sampled = F.grid_sample(maps_O3XY[end_E], grid, align_corners=False)
+        return cast(HeightMaps, sampled.unbind(1))
 
 
-def _first(density_PXYZ: Tensor) -> Tensor:
-    """How likely each voxel is the first that a ray along +z meets."""
-    clear = torch.cumprod(1 - density_PXYZ, -1)
-    return density_PXYZ * torch.cat([torch.ones_like(clear[..., :1]), clear[..., :-1]], -1)
+def _first_hit(occupancy_OXYZ: Tensor) -> Tensor:
+    """Probability that each voxel is the first occupied one along +z."""
+    clear = torch.cumprod(1 - occupancy_OXYZ, -1)
+    return occupancy_OXYZ * torch.cat([torch.ones_like(clear[..., :1]), clear[..., :-1]], -1)
 
 
-def _ends(valid_BN: Tensor, both_BNN: Tensor) -> Ends:
-    """The numbers among all objects, Q each, of every pair's receiver and sender."""
-    number_BN = valid_BN.flatten().cumsum(0).reshape(valid_BN.shape) - 1
-    scene_Q, receiver_Q, sender_Q = both_BNN.nonzero().unbind(1)
-    return number_BN[scene_Q, receiver_Q], number_BN[scene_Q, sender_Q]
+def _ends(valid_BN: Tensor, pairs_BNN: Tensor) -> Ends:
+    """Positions among all valid objects of every pair's receiver and sender."""
+    position_BN = valid_BN.flatten().cumsum(0).reshape(valid_BN.shape) - 1
+    scene_E, receiver_E, sender_E = pairs_BNN.nonzero().unbind(1)
+    return position_BN[scene_E, receiver_E], position_BN[scene_E, sender_E]
+
+
+def _scatter(features_PC: Tensor, mask: Tensor) -> Tensor:
+    """Features at the P true places of ``mask``, else 0."""
+    zeros = features_PC.new_zeros(*mask.shape, features_PC.shape[-1])
+    return zeros.index_put((mask,), features_PC)

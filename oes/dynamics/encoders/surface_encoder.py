@@ -1,218 +1,215 @@
-"""Messages between the points that matter: of an object's surface, with the rod, with other objects
-and the table.
+"""Encoder of completed surfaces: points of each surface near the rod and near other objects.
 
-Every point of a surface knows where it lies, which way it faces, how sure it is, how high above the
-table it is, how far from the rod's path, and how deep in another object. A small network reads each
-point; an object's message is the mean and the greatest of its points'.
+A small network reads every point; the feature of a node or an edge pools over its points.
 """
 
 import torch
 from torch import Tensor, nn
 
 from oes.config import params
-from oes.dynamics.graph import GraphFeatures, ObjectState, action_axes, distinct_pairs, mlp
+from oes.dynamics.graph import (
+    GraphFeatures,
+    ObjectState,
+    TipMotion,
+    mlp,
+    pair_indices,
+    scatter_pairs,
+)
 from oes.dynamics.rigid_body.bodies import ContactPhysics
 from oes.dynamics.shapes import ObjectShapes, ShapeUncertainty
 from oes.geom.polar import directions, normals, radius_in
 from oes.objects import LAYERS
 
-OWN, PATH, PAIR = 9, 4, 6  # numbers a point knows: of itself, of the rod's path, of another object
-GAPS = 2  # and how far it is above and below that
+NODE_CHANNELS = 9  # offset, normal, sigma and presence of a point, and its height above the table
+AGENT_CHANNELS = 4  # offset (2) and distance from the rod's path, distance along it
+EDGE_CHANNELS = 6  # offset from the sender, depth inside it, height above its support, existence
+GAP_CHANNELS = 2  # clearance above and below the sender
 FAR_M = 0.1
 NOWHERE_M = 1e3
 
 
 @params
 class SurfacePoints:
-    """Which points are read: every so many directions of ``rows`` (rows of an outline: 0 of all
-    heights, 1 of all but the lowest, 2 of the foot, then bands of ``band_m``, upwards), and the
-    width of the networks that read them.
+    """Surface points of an encoder, and the width and depth of the networks that read them.
+
+    Points lie in every ``direction_stride``-th direction of ``rows`` of the radial profile (see
+    ``oes.objects``; layers are ``layer_height_m`` high).
     """
 
-    every: int
+    direction_stride: int
     rows: tuple[int, ...]
-    band_m: float
+    layer_height_m: float
     width: int
-    layers: int
+    mlp_layers: int
 
     @property
     def has_heights(self) -> bool:
-        """Whether its points lie at heights of their own, so that it matters how far they are above
-        or below others.
-        """
+        """Whether all points lie in layers and therefore have definite heights."""
         return min(self.rows) >= LAYERS
 
 
 @params
 class ContactConfig:
-    """The model ``contact``: what its messages see, how objects slide (null where they fall), how
-    its draws differ, the time of a step, and whether surfaces are the true ones (an ablation) or as
-    perceived.
+    """The model ``contact``. ``physics`` of sliding is null where objects fall.
+
+    ``step_s``: duration of a step; ``gt_surfaces``: ground-truth surfaces as input (an ablation).
     """
 
-    skin: SurfacePoints
+    surface_points: SurfacePoints
     physics: ContactPhysics | None
-    doubt: ShapeUncertainty
+    uncertainty: ShapeUncertainty
     step_s: float
     gt_surfaces: bool
 
 
 class PointNet(nn.Module):
-    """Points ...PC to a message ...W: a small network a point, pooled by mean and maximum over
-    those that are there.
-    """
+    """Points ...PC to one feature ...C: a shared MLP, then mean and maximum over the points."""
 
     def __init__(self, inputs: int, cfg: SurfacePoints) -> None:
         super().__init__()
-        self.each = mlp(inputs, cfg.width, cfg.layers)
-        self.join = mlp(2 * cfg.width, cfg.width, 1)
+        self.point_mlp = mlp(inputs, cfg.width, cfg.mlp_layers)
+        self.head = mlp(2 * cfg.width, cfg.width, 1)
 
-    def forward(self, points_PC: Tensor, there_P: Tensor) -> Tensor:
-        """``there_P``: how likely each point is there, 0 to 1."""
-        each_PW = self.each(points_PC) * there_P[..., None]
-        mean_W = each_PW.sum(-2) / there_P.sum(-1, keepdim=True).clamp(min=1)
-        message_W: Tensor = self.join(torch.cat([mean_W, each_PW.amax(-2)], -1))
-        return message_W
+    def forward(self, points_PC: Tensor, presence_P: Tensor) -> Tensor:
+        """Points are weighted by their existence probability ``presence_P``."""
+        each_PC = self.point_mlp(points_PC) * presence_P[..., None]
+        mean_C = each_PC.sum(-2) / presence_P.sum(-1, keepdim=True).clamp(min=1)
+        feature_C: Tensor = self.head(torch.cat([mean_C, each_PC.amax(-2)], -1))
+        return feature_C
 
 
 class SurfaceEncoder(nn.Module):
-    """The readings of one step, in the action's axes. No gradient runs back through where the
-    points lie.
-    """
+    """Graph features of one step from surface points. No gradient flows through their positions."""
 
     def __init__(self, cfg: SurfacePoints, unit_m: float) -> None:
         super().__init__()
         self.cfg, self.unit_m = cfg, unit_m
-        self.own, self.path = PointNet(OWN, cfg), PointNet(OWN + PATH, cfg)
-        self.pair = PointNet(OWN + PAIR + GAPS * cfg.has_heights, cfg)
+        self.node = PointNet(NODE_CHANNELS, cfg)
+        self.agent = PointNet(NODE_CHANNELS + AGENT_CHANNELS, cfg)
+        gaps = GAP_CHANNELS * cfg.has_heights
+        self.edge = PointNet(NODE_CHANNELS + EDGE_CHANNELS + gaps, cfg)
 
-    def forward(
-        self, shapes: ObjectShapes, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> GraphFeatures:
-        """The tip goes from ``tip_world_B3`` by ``action_B3`` (metres; NaN: there is no robot)."""
-        axes_B33 = action_axes(action_B3)
+    def forward(self, shapes: ObjectShapes, state: ObjectState, tip: TipMotion) -> GraphFeatures:
+        """Features in the action's axes."""
+        axes_B33, num = tip.axes_B33(), shapes.radius_BNRD.shape[1]
+        receiver_E, sender_E = pair_indices(num, axes_B33.device)
         with torch.no_grad():
-            skin_BNP3, normal_BNP3, sure_BNP, there_BNP = self._points(
-                shapes, axes_B33, state.turned_BN33
+            offset_BNP3, normal_BNP3, sigma_BNP, presence_BNP = self.points(shapes, state, axes_B33)
+            points_BNP3 = offset_BNP3 + state.center_BN3[:, :, None] @ axes_B33[:, None]
+            scalars = [sigma_BNP[..., None], presence_BNP[..., None]]
+            height_BNP1 = points_BNP3[..., 2:] / self.unit_m
+            node_BNPC = torch.cat(
+                [offset_BNP3 / self.unit_m, normal_BNP3, *scalars, height_BNP1], -1
             )
-            place_BNP3 = skin_BNP3 + state.center_BN3[:, :, None] @ axes_B33[:, None]
-            numbers = [
-                skin_BNP3 / self.unit_m,
-                normal_BNP3,
-                sure_BNP[..., None],
-                there_BNP[..., None],
-            ]
-            own_BNPC = torch.cat([*numbers, place_BNP3[..., 2:] / self.unit_m], -1)
-            path_BNPC = self._path(place_BNP3, tip_world_B3, action_B3, axes_B33)
-            pair_BNNPC = self._inside(shapes, state, place_BNP3, axes_B33)
-        own_BNNPC = own_BNPC[:, :, None].expand(*pair_BNNPC.shape[:-1], OWN)
-        there_BNNP = there_BNP[:, :, None].expand(pair_BNNPC.shape[:-1])
-        receivers, senders = (
-            distinct_pairs(place_BNP3.shape[1], place_BNP3.device).nonzero().unbind(1)
+            agent_BNPC = torch.cat([node_BNPC, self._agent_inputs(points_BNP3, tip, axes_B33)], -1)
+            edge_BNNPC = self.edge_inputs(shapes, state, points_BNP3, axes_B33)
+            edge_BEPC = torch.cat(
+                [node_BNPC[:, receiver_E], edge_BNNPC[:, receiver_E, sender_E]], -1
+            )
+        return GraphFeatures(
+            node_BNC=self.node(node_BNPC, presence_BNP),
+            agent_BNC=self.agent(agent_BNPC, presence_BNP),
+            edge_BNNC=scatter_pairs(self.edge(edge_BEPC, presence_BNP[:, receiver_E]), num),
         )
-        read_BEPC = torch.cat([own_BNNPC, pair_BNNPC], -1)[:, receivers, senders]
-        found_BEC = self.pair(read_BEPC, there_BNNP[:, receivers, senders])
-        message_BNNC = found_BEC.new_zeros(*pair_BNNPC.shape[:3], found_BEC.shape[-1])
-        message_BNNC[:, receivers, senders] = found_BEC
-        path_BNC = self.path(torch.cat([own_BNPC, path_BNPC], -1), there_BNP)
-        return GraphFeatures(self.own(own_BNPC, there_BNP), path_BNC, message_BNNC)
 
-    def _points(
-        self, shapes: ObjectShapes, axes_B33: Tensor, turned_BN33: Tensor
+    def points(
+        self, shapes: ObjectShapes, state: ObjectState, axes_B33: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Points and normals BNP3 from the reference points, in the action's axes, scales and
-        presences BNP.
-        """
-        rows, every = list(self.cfg.rows), self.cfg.every
-        radius_BNRK = shapes.radius_BNRK[:, :, rows]
-        side_K2, facing_BNRK2 = directions(radius_BNRK.shape[-1]), normals(radius_BNRK)
-        height_R = torch.tensor([max(row - LAYERS, 0) + 0.5 for row in rows]) * self.cfg.band_m
-        flat_BNRK2 = radius_BNRK[..., None] * side_K2
-        depth_BN11 = self._foot(shapes)[..., None, None]
-        z_BNRK1 = (height_R[:, None] + depth_BN11).expand(radius_BNRK.shape)[..., None]
-        points = torch.cat([flat_BNRK2, z_BNRK1], -1)[..., ::every, :].flatten(2, 3)
-        facing = torch.cat([facing_BNRK2, torch.zeros_like(z_BNRK1)], -1)[..., ::every, :].flatten(
-            2, 3
-        )
-        now_BN33 = turned_BN33.mT @ axes_B33[:, None]
-        sure = shapes.scale_BNRK[:, :, rows, ::every].flatten(2) / self.unit_m
-        there = (shapes.presence_BNRK * (shapes.radius_BNRK > 0))[:, :, rows, ::every].flatten(2)
-        return points @ now_BN33, facing @ now_BN33, sure, there
+        """Points and normals BNP3 from the reference points, scaled sigmas BNP, presences BNP."""
+        rows, stride = list(self.cfg.rows), self.cfg.direction_stride
+        radius_BNRD = shapes.radius_BNRD[:, :, rows]
+        xy_BNRD2 = radius_BNRD[..., None] * directions(radius_BNRD.shape[-1])
+        # UNION and UPPER span all heights; their points get that of the lowest layer's middle.
+        layers_R = [max(row - LAYERS, 0) + 0.5 for row in rows]
+        height_R1 = torch.tensor(layers_R)[:, None] * self.cfg.layer_height_m
+        bottom_BN11 = self._bottom(shapes)[..., None, None]
+        z_BNRD1 = (height_R1 + bottom_BN11).expand(radius_BNRD.shape)[..., None]
+        offset = torch.cat([xy_BNRD2, z_BNRD1], -1)[..., ::stride, :].flatten(2, 3)
+        normal = torch.cat([normals(radius_BNRD), torch.zeros_like(z_BNRD1)], -1)
+        normal = normal[..., ::stride, :].flatten(2, 3)
+        to_action_BN33 = state.rotation_BN33.mT @ axes_B33[:, None]
+        sigma = shapes.sigma_BNRD[:, :, rows, ::stride].flatten(2) / self.unit_m
+        presence = shapes.presence_BNRD * (shapes.radius_BNRD > 0)
+        presence = presence[:, :, rows, ::stride].flatten(2)
+        return offset @ to_action_BN33, normal @ to_action_BN33, sigma, presence
 
-    def _foot(self, shapes: ObjectShapes) -> Tensor:
-        """The height BN of the lowest band's bottom from the reference point: that of the box where
-        heights matter, or else half of the bands that are there, below it.
+    def _bottom(self, shapes: ObjectShapes) -> Tensor:
+        """Height BN of the lowest layer's bottom, from the reference point.
+
+        Without definite heights, the stack of existing layers is centred at the reference point.
         """
         if self.cfg.has_heights:
-            return -shapes.foot_BN
-        there_BNB = (shapes.radius_BNRK[:, :, LAYERS:] > 0).any(-1).float()
-        return -there_BNB.sum(-1) * self.cfg.band_m / 2
+            return -shapes.support_depth_BN
+        exists_BNR = (shapes.radius_BNRD[:, :, LAYERS:] > 0).any(-1).float()
+        return -exists_BNR.sum(-1) * self.cfg.layer_height_m / 2
 
-    def _path(
-        self, place_BNP3: Tensor, tip_world_B3: Tensor, action_B3: Tensor, axes_B33: Tensor
-    ) -> Tensor:
-        """BNP4: from the nearest place on the rod's way to the point (x, y), how far it is, how far
-        along that is.
-        """
-        tip_B2 = (tip_world_B3.nan_to_num(nan=NOWHERE_M)[:, None] @ axes_B33)[:, 0, :2]
-        length_B = action_B3[:, :2].norm(dim=-1)[:, None, None]
-        x_BNP, y_BNP = (place_BNP3[..., :2] - tip_B2[:, None, None]).unbind(-1)
-        along_BNP = x_BNP.clamp(min=0).minimum(length_B)
-        away_BNP2 = torch.stack([x_BNP - along_BNP, y_BNP], -1)
-        near = [
-            away_BNP2.clamp(-FAR_M, FAR_M),
-            away_BNP2.norm(dim=-1, keepdim=True).clamp(max=FAR_M),
-        ]
-        return torch.cat([*near, along_BNP[..., None]], -1) / self.unit_m
+    def _agent_inputs(self, points_BNP3: Tensor, tip: TipMotion, axes_B33: Tensor) -> Tensor:
+        """BNP4: offset (x, y) and distance from the rod's path, and the distance along the path."""
+        start_B13 = tip.start_B3.nan_to_num(nan=NOWHERE_M)[:, None] @ axes_B33
+        length_B11 = tip.action_B3[:, :2].norm(dim=-1)[:, None, None]
+        x_BNP, y_BNP = (points_BNP3[..., :2] - start_B13[:, None, :, :2]).unbind(-1)
+        along_BNP = x_BNP.clamp(min=0).minimum(length_B11)
+        offset_BNP2 = torch.stack([x_BNP - along_BNP, y_BNP], -1)
+        distance_BNP1 = offset_BNP2.norm(dim=-1, keepdim=True).clamp(max=FAR_M)
+        inputs = [offset_BNP2.clamp(-FAR_M, FAR_M), distance_BNP1, along_BNP[..., None]]
+        return torch.cat(inputs, -1) / self.unit_m
 
-    def _inside(
-        self, shapes: ObjectShapes, state: ObjectState, place_BNP3: Tensor, axes_B33: Tensor
+    def edge_inputs(
+        self, shapes: ObjectShapes, state: ObjectState, points_BNP3: Tensor, axes_B33: Tensor
     ) -> Tensor:
-        """BNNP6: of each receiver's points in each sender: from its reference point (3, the
-        action's axes), how far within its outline at that height, whether there is any there, and
-        the height above its foot; then ``_gaps``, if points have heights.
+        """BNNPC: position of each receiver's points relative to each sender (action's axes).
+
+        Offset from its reference point (3), depth inside its surface at that height, height above
+        its support, ``_gaps`` where points have heights, and whether it exists at that height.
         """
-        num, band_m = place_BNP3.shape[1], self.cfg.band_m
-        from_other_BNNP3 = place_BNP3[:, :, None] - (state.center_BN3 @ axes_B33)[:, None, :, None]
-        first_BNNP3 = from_other_BNNP3 @ axes_B33.mT[:, None, None] @ state.turned_BN33[:, None]
-        height_BNNP = first_BNNP3[..., 2] - self._foot(shapes)[:, None, :, None]
-        bands_BNBK = shapes.radius_BNRK[:, :, LAYERS:]
-        band_BNNP = (height_BNNP / band_m).floor().long()
-        top = bands_BNBK.shape[2] - 1
-        is_level_BNNP = (band_BNNP >= 0) & (band_BNNP <= top)
-        outline_PK = bands_BNBK[:, None].expand(-1, num, -1, -1, -1).flatten(0, 2)
-        place_PQ2 = first_BNNP3[..., :2].flatten(0, 2)
-        reach_PQ = radius_in(outline_PK, band_BNNP.clamp(0, top).flatten(0, 2), place_PQ2)
-        within_BNNP = reach_PQ.reshape(band_BNNP.shape) - first_BNNP3[..., :2].norm(dim=-1)
-        there_BNNP = (is_level_BNNP & (reach_PQ.reshape(band_BNNP.shape) > 0)).float()
-        lengths = [from_other_BNNP3, within_BNNP[..., None], height_BNNP[..., None]]
-        lengths += [self._gaps(shapes, first_BNNP3, height_BNNP)] if self.cfg.has_heights else []
+        num, layer_height_m = points_BNP3.shape[1], self.cfg.layer_height_m
+        center_BN3 = state.center_BN3 @ axes_B33
+        offset_BNNP3 = points_BNP3[:, :, None] - center_BN3[:, None, :, None]
+        # The sender's own axes at t = 0, in which its profile is given.
+        first_BNNP3 = offset_BNNP3 @ axes_B33.mT[:, None, None] @ state.rotation_BN33[:, None]
+        height_BNNP = first_BNNP3[..., 2] - self._bottom(shapes)[:, None, :, None]
+        layers_BNRD = shapes.radius_BNRD[:, :, LAYERS:]
+        layers_ERD = layers_BNRD[:, None].expand(-1, num, -1, -1, -1).flatten(0, 2)
+        points_EP2 = first_BNNP3[..., :2].flatten(0, 2)
+        layer_BNNP = (height_BNNP / layer_height_m).floor().long()
+        top = layers_BNRD.shape[2] - 1
+        row_EP = layer_BNNP.clamp(0, top).flatten(0, 2)
+        radius_BNNP = radius_in(layers_ERD, row_EP, points_EP2).reshape(height_BNNP.shape)
+        depth_BNNP = radius_BNNP - first_BNNP3[..., :2].norm(dim=-1)
+        exists_BNNP = (layer_BNNP >= 0) & (layer_BNNP <= top) & (radius_BNNP > 0)
+        lengths = [offset_BNNP3, depth_BNNP[..., None], height_BNNP[..., None]]
+        if self.cfg.has_heights:
+            lengths.append(self._gaps(shapes.height_BN, layers_ERD, points_EP2, height_BNNP))
         near = torch.cat(lengths, -1).clamp(-2 * FAR_M, 2 * FAR_M) / self.unit_m
-        return torch.cat([near, there_BNNP[..., None]], -1)
+        return torch.cat([near, exists_BNNP.float()[..., None]], -1)
 
-    def _gaps(self, shapes: ObjectShapes, first_BNNP3: Tensor, height_BNNP: Tensor) -> Tensor:
-        """BNNP2: how far the bottom of each point's band is above the top of the sender, and its
-        top below the bottom of the sender, on the point's vertical (negative: past it); far, where
-        there is nothing of the sender there.
+    def _gaps(
+        self, height_BN: Tensor, layers_ERD: Tensor, points_EP2: Tensor, point_z_BNNP: Tensor
+    ) -> Tensor:
+        """BNNP2: clearance of each point's layer above the sender's top and below its bottom.
 
-        Bands are as tall as ``band_m``, but for the highest of an object, which ends where its box
-        does.
+        Measured along the point's vertical; negative when they overlap, ``NOWHERE_M`` where the
+        sender has no surface. An object's highest layer ends at the top of its box.
         """
-        bands_BNBK, band_m = shapes.radius_BNRK[:, :, LAYERS:], self.cfg.band_m
-        (num, count), points = bands_BNBK.shape[1:3], height_BNNP.shape[-1]
-        outline_PK = bands_BNBK[:, None].expand(-1, num, -1, -1, -1).flatten(0, 2)
-        band_PQ = torch.arange(count).repeat_interleave(points).expand(len(outline_PK), -1)
-        place_PP2 = first_BNNP3[..., :2].flatten(0, 2)
-        reach_PQ = radius_in(outline_PK, band_PQ, place_PP2.repeat(1, count, 1))
-        is_over_PQ = reach_PQ > place_PP2.norm(dim=-1).repeat(1, count)
-        is_over_BNNBP = is_over_PQ.reshape(*height_BNNP.shape[:3], count, points)
-        floor_B1 = torch.arange(count)[:, None] * band_m
-        ceiling_BNBP = (floor_B1 + band_m).minimum(shapes.tall_BN[..., None, None])
-        top_BNNP = torch.where(is_over_BNNBP, ceiling_BNBP[:, None], -NOWHERE_M).amax(-2)
-        bottom_BNNP = torch.where(is_over_BNNBP, floor_B1, NOWHERE_M).amin(-2)
-        row_P = torch.tensor(self.cfg.rows).repeat_interleave(points // len(self.cfg.rows)) - LAYERS
-        over_BNP = ((row_P + 1) * band_m).minimum(shapes.tall_BN[..., None]) - (
-            row_P + 0.5
-        ) * band_m
-        own_top_BNNP = height_BNNP + over_BNP[:, :, None]
-        return torch.stack([height_BNNP - band_m / 2 - top_BNNP, bottom_BNNP - own_top_BNNP], -1)
+        layer_height_m, count, points = (
+            self.cfg.layer_height_m,
+            layers_ERD.shape[1],
+            points_EP2.shape[1],
+        )
+        row_EQ = torch.arange(count).repeat_interleave(points).expand(len(layers_ERD), -1)
+        radius_EQ = radius_in(layers_ERD, row_EQ, points_EP2.repeat(1, count, 1))
+        is_over_EQ = radius_EQ > points_EP2.norm(dim=-1).repeat(1, count)
+        is_over_BNNRP = is_over_EQ.reshape(*point_z_BNNP.shape[:3], count, points)
+        bottom_R1 = torch.arange(count)[:, None] * layer_height_m
+        top_BNR1 = (bottom_R1 + layer_height_m).minimum(height_BN[..., None, None])
+        sender_top_BNNP = torch.where(is_over_BNNRP, top_BNR1[:, None], -NOWHERE_M).amax(-2)
+        sender_bottom_BNNP = torch.where(is_over_BNNRP, bottom_R1, NOWHERE_M).amin(-2)
+        layer_R = torch.tensor(self.cfg.rows) - LAYERS
+        layer_P = layer_R.repeat_interleave(points // len(layer_R))
+        own_top_BNP = ((layer_P + 1) * layer_height_m).minimum(height_BN[..., None])
+        above_BNP = own_top_BNP - (layer_P + 0.5) * layer_height_m
+        clearances = [
+            point_z_BNNP - layer_height_m / 2 - sender_top_BNNP,
+            sender_bottom_BNNP - (point_z_BNNP + above_BNP[:, :, None]),
+        ]
+        return torch.stack(clearances, -1)
