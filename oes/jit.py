@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parent
 
 
 def jit(function: Function) -> Function:
-    """Compile a function without the GIL and with strict IEEE arithmetic: equal input, equal bytes."""
+    """Compile a function without the GIL, in strict IEEE arithmetic: equal input, equal bytes."""
     return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
