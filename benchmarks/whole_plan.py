@@ -16,7 +16,14 @@ from oes.apps.evaluate import KEPT, TRAINED, find_weights
 from oes.config import load
 from oes.perception.perceiver import Perceiver
 from oes.sim.pushing import PushWorld
-from oes.trials.runner import CAMERAS, PLANS, TASKS, CameraSensor, TrialsConfig, make_planner
+from oes.trials.runner import (
+    CAMERA_STREAM,
+    PLAN_STREAM,
+    TASK_STREAM,
+    CameraSensor,
+    TrialsConfig,
+    make_planner,
+)
 from oes.trials.task import draw_task, generator
 from oes.trials.world_models import load_world_model
 
@@ -40,12 +47,12 @@ def main() -> None:
     cfg = load(Path("params.yaml"), "trials", TrialsConfig)
     scenario, catalogue = cfg.scenarios[SCENARIO], find_catalogue()
     perception, dynamics = find_weights((TRAINED, KEPT), MODELS)
-    eyes = Perceiver.load(perception)
-    task = draw_task(catalogue, cfg.sim, scenario, generator(cfg.seed, "bench", 0, TASKS))
+    perceiver = Perceiver.load(perception)
+    task = draw_task(catalogue, cfg.sim, scenario, generator(cfg.seed, "bench", 0, TASK_STREAM))
     with PushWorld(catalogue, cfg.sim, scenario.settle_ms) as world:
         world.reset(task.bodies, task.world_T_obj_N44, task.tip_xy_m)
-        step = world.step_now(generator(cfg.seed, "bench", 0, CAMERAS))
-    photos = CameraSensor(catalogue, cfg.sim, task.bodies)(step, step.cameras[0])
+        step = world.step_now(generator(cfg.seed, "bench", 0, CAMERA_STREAM))
+    observation = CameraSensor(catalogue, cfg.sim, task.bodies)(step, step.cameras[0])
     size_N3 = np.full_like(task.center_N3, cfg.planning.track.unseen_size_m)
     names = [
         f"{name} {s.iterations}x{s.num_candidates}x{s.horizon_steps}"
@@ -54,12 +61,12 @@ def main() -> None:
     head = "".join(f"{name + ' ms':>24}" for name in names)
     print(f"{'model':<12}{'see ms':>10}{head}   ({torch.get_num_threads()} threads)")
     for word in MODELS:
-        planner = make_planner(cfg, eyes, load_world_model(dynamics[word]))
-        belief = planner.perceive(photos, task.center_N3, size_N3)
-        see = median_ms(partial(planner.perceive, photos, task.center_N3, size_N3))
-        rng = generator(cfg.seed, "bench", 0, PLANS)
+        planner = make_planner(cfg, perceiver, load_world_model(dynamics[word]))
+        estimate = planner.perceive(observation, task.center_N3, size_N3)
+        see = median_ms(partial(planner.perceive, observation, task.center_N3, size_N3))
+        rng = generator(cfg.seed, "bench", 0, PLAN_STREAM)
         plans = [
-            median_ms(partial(planner.choose, belief, task.goal_G3, s, rng))
+            median_ms(partial(planner.plan, estimate, task.goal_G3, s, rng))
             for s in scenario.planners.values()
         ]
         print(f"{word:<12}{see:>10.0f}" + "".join(f"{ms:>24.0f}" for ms in plans))

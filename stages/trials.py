@@ -1,6 +1,4 @@
-"""trials: objects pushed to targets by model predictive control; one row a trial, with films of
-some.
-"""
+"""trials: objects pushed to goals by model predictive control; one row per trial, some videos."""
 
 import shutil
 from pathlib import Path
@@ -24,14 +22,11 @@ def main(
     """Write trials.csv and the videos. ``dynamics`` is the folder of ``model``'s weights."""
     inputs = TrialInputs(meshes, perception / "perception.safetensors", dynamics)
     with work_dir(out, (cfg, scenario, model, [meshes, perception, dynamics])) as work:
-        progress = work / "progress"
-        found = run_trials(cfg, scenario, inputs, progress)
-        videos = write_videos(found, cfg.scenarios[scenario], cfg.film, cfg.num_videos, work)
-        write_csv(
-            work / "trials.csv",
-            trial_rows(found, scenario, model, cfg.scenarios[scenario], videos),
-            TRIAL_COLUMNS,
-        )
+        progress, own = work / "progress", cfg.scenarios[scenario]
+        trials = run_trials(cfg, scenario, inputs, progress)
+        videos = write_videos(trials, own, cfg.video, cfg.num_videos, work)
+        rows = trial_rows(trials, scenario, model, own, videos)
+        write_csv(work / "trials.csv", rows, TRIAL_COLUMNS)
         shutil.rmtree(progress)
         publish(work, out)
 

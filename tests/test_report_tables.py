@@ -175,14 +175,14 @@ def _trials(path: Path) -> Path:
             "num_objects": 1,
             "success": i < wins,
             "all_success": i < wins,
-            "touched": planner == "cem" and i == 9,
+            "collided": planner == "cem" and i == 9,
             "initial_mm": 150.0,
             "mean_final_mm": "nan"
             if (model, i) == ("graph_xyz", 9)
             else 20.0
             if i < wins
             else 80.0,
-            "believed_mm": 20.0,
+            "estimated_mm": 20.0,
             "steps_used": 5,
             "failure": "no room" if (model, i) == ("graph_xyz", 9) else "",
             "video": "",
@@ -206,7 +206,7 @@ def test_trials_table_pairs_the_trials(tmp_path: Path) -> None:
         ("cem", "oes"),
     ]
     baseline, ours, searched = found
-    assert (ours.touched, searched.touched) == (0, 0.1) and searched.printed is None
+    assert (ours.collided, searched.collided) == (0, 0.1) and searched.printed is None
     assert ours.success == 0.9 and ours.p_value is None and ours.printed == 0.86
     assert ours.interval == pytest.approx((0.596, 0.982), abs=1e-3)
     assert baseline.p_value == pytest.approx(2 * 0.5**5) and baseline.failures == 1

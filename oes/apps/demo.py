@@ -23,7 +23,14 @@ from oes.perception.perceiver import Perceiver
 from oes.sim.rig import rig
 from oes.sim.world import SimConfig, World
 from oes.trials.loop import StepRecord, TrialResult, run_trial
-from oes.trials.runner import CAMERAS, PLANS, TASKS, CameraSensor, TrialsConfig, make_planner
+from oes.trials.runner import (
+    CAMERA_STREAM,
+    PLAN_STREAM,
+    TASK_STREAM,
+    CameraSensor,
+    TrialsConfig,
+    make_planner,
+)
 from oes.trials.task import Task, TrialScenario, draw_task, generator
 from oes.trials.trial_video import observed_image
 from oes.trials.world_models import load_world_model
@@ -53,32 +60,33 @@ def main(cfg: DemoConfig) -> None:
     Raises WeightsMissing.
     """
     trials = load(PARAMS, "trials", TrialsConfig)
-    scenario = replace(trials.scenarios[SCENARIO], num_objects=(1, 1), goal_m=cfg.goal_m)
+    scenario = replace(trials.scenarios[SCENARIO], num_objects=(1, 1), goal_distance_m=cfg.goal_m)
     perception, dynamics = find_weights((KEPT, DATASETS), (MODEL,))
     catalogue = find_catalogue()
     planner = make_planner(trials, Perceiver.load(perception), load_world_model(dynamics[MODEL]))
-    rngs = [generator(cfg.seed, "demo", 0, stream) for stream in (TASKS, CAMERAS, PLANS)]
-    task = draw_task(catalogue, trials.sim, scenario, rngs[TASKS])
-    photographer = CameraSensor(catalogue, trials.sim, task.bodies)
+    rngs = [
+        generator(cfg.seed, "demo", 0, stream)
+        for stream in (TASK_STREAM, CAMERA_STREAM, PLAN_STREAM)
+    ]
+    task = draw_task(catalogue, trials.sim, scenario, rngs[TASK_STREAM])
+    sensor = CameraSensor(catalogue, trials.sim, task.bodies)
     with SteppedPushWorld(catalogue, trials.sim, scenario.settle_ms, cfg.frames_per_push) as world:
         search = scenario.planners[PLANNER]
-        outcome = run_trial(
-            world, photographer, planner, task, scenario, search, (rngs[CAMERAS], rngs[PLANS])
+        result = run_trial(
+            world, sensor, planner, task, scenario, search, (rngs[CAMERA_STREAM], rngs[PLAN_STREAM])
         )
         write_video(
-            video_frames(outcome, world.pushes, photographer, task, scenario, cfg),
-            DEMO_FILE,
-            cfg.fps,
+            video_frames(result, world.pushes, sensor, task, scenario, cfg), DEMO_FILE, cfg.fps
         )
-    start_mm, end_mm = outcome.initial_G.mean() * 1e3, outcome.final_G.mean() * 1e3
+    start_mm, end_mm = result.initial_G.mean() * 1e3, result.final_G.mean() * 1e3
     distances = f"{start_mm:.0f} mm from the goal at the start, {end_mm:.0f} mm"
-    log.info("%s: %s after %d pushes", DEMO_FILE, distances, outcome.steps_used)
+    log.info("%s: %s after %d pushes", DEMO_FILE, distances, result.steps_used)
 
 
 def video_frames(
-    outcome: TrialResult,
+    result: TrialResult,
     pushes: Sequence[Sequence[Step]],
-    photographer: CameraSensor,
+    sensor: CameraSensor,
     task: Task,
     scenario: TrialScenario,
     cfg: DemoConfig,
@@ -86,22 +94,22 @@ def video_frames(
     """Left the planner's observation and forecast, right the execution, from the same camera."""
     hold = round(cfg.hold_s * cfg.fps)
     done = iter(pushes)
-    for moment in outcome.moments:
-        before = _beside(moment, 0.0, moment.rgb_HW3, task, scenario, cfg)
+    for record in result.steps:
+        before = _beside(record, 0.0, record.rgb_HW3, task, scenario, cfg)
         yield from [before] * hold
-        if moment.chosen is None:
+        if record.plan is None:
             continue
         states = next(done)
         for state_i, state in enumerate(states):
-            rgb_HW3 = photographer(state, moment.camera).frames.rgb_VHW3[0]
+            rgb_HW3 = sensor(state, record.camera).frames.rgb_VHW3[0]
             yield _beside(
-                moment, min(1.0, state_i / cfg.frames_per_push), rgb_HW3, task, scenario, cfg
+                record, min(1.0, state_i / cfg.frames_per_push), rgb_HW3, task, scenario, cfg
             )
-        yield from [_beside(moment, 1.0, rgb_HW3, task, scenario, cfg)] * hold
+        yield from [_beside(record, 1.0, rgb_HW3, task, scenario, cfg)] * hold
 
 
 def _beside(
-    moment: StepRecord,
+    record: StepRecord,
     share: float,
     rgb_HW3: NDArray[np.uint8],
     task: Task,
@@ -109,13 +117,13 @@ def _beside(
     cfg: DemoConfig,
 ) -> NDArray[np.uint8]:
     """The forecast (after ``share`` of the push) and the execution, side by side."""
-    imagined = observed_image(moment, task.goal_G3, scenario.success_m, cfg.zoom)
-    imagined.label("forecast" if moment.chosen else "observed")
-    if moment.chosen is not None:
+    imagined = observed_image(record, task.goal_G3, scenario.success_m, cfg.zoom)
+    imagined.label("forecast" if record.plan else "observed")
+    if record.plan is not None:
         _draw_forecast(
-            imagined, moment.chosen, moment.belief.center_N3, moment.belief.size_N3, share
+            imagined, record.plan, record.estimate.center_N3, record.estimate.size_N3, share
         )
-    real = CameraOverlay(rgb_HW3, moment.camera, cfg.zoom)
+    real = CameraOverlay(rgb_HW3, record.camera, cfg.zoom)
     for goal in task.goal_G3:
         real.ring(goal * [1, 1, 0], scenario.success_m, GOAL)
     real.label("executed")

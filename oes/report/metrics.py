@@ -71,7 +71,7 @@ def trials_tree(found: Sequence[Outcome]) -> Tree:
             "trials": outcome.trials,
             "interval_95": outcome.interval,
             "all_success": outcome.all_success,
-            "touched": outcome.touched,
+            "collided": outcome.collided,
             "final_mm": outcome.final_mm,
             "did_not_run": outcome.failures,
             **({} if outcome.p_value is None else {"p_value": outcome.p_value}),

@@ -44,7 +44,7 @@ class Outcome:
     p_value: float | None
     distance_p_value: float | None
     all_success: float
-    touched: float
+    collided: float
     initial_mm: float
     final_mm: float
     steps: float
@@ -80,7 +80,7 @@ def trials_table(
         "success [95%]",
         "p (3D-OES against it)",
         "success of every object",
-        "touched an obstacle",
+        "collided with an obstacle",
         "distance at start (mm)",
         "distance at end (mm)",
         "p",
@@ -113,7 +113,7 @@ def _outcome(rows: Columns, ours: Columns, scenario: str) -> Outcome:
         p_value=_success_p(ours, rows) if is_paired else None,
         distance_p_value=_distance_p(ours, rows) if is_paired else None,
         all_success=float(rows["all_success"].mean()),
-        touched=float(rows["touched"].mean()),
+        collided=float(rows["collided"].mean()),
         initial_mm=_mean(rows["initial_mm"][ran]),
         final_mm=_mean(rows["mean_final_mm"][ran]),
         steps=_mean(rows["steps_used"][ran]),
@@ -152,7 +152,7 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
         f"{outcome.success:.2f} [{outcome.interval[0]:.2f}, {outcome.interval[1]:.2f}]",
         "" if outcome.p_value is None else f"{outcome.p_value:.2g}",
         f"{outcome.all_success:.2f}",
-        f"{outcome.touched:.2f}",
+        f"{outcome.collided:.2f}",
         f"{outcome.initial_mm:.0f}",
         f"{outcome.final_mm:.1f}",
         "" if outcome.distance_p_value is None else f"{outcome.distance_p_value:.2g}",
@@ -175,7 +175,7 @@ def _record(outcome: Outcome, scenario: str) -> dict[str, object]:
         "high": round(outcome.interval[1], 4),
         "p_value": "" if outcome.p_value is None else f"{outcome.p_value:.6g}",
         "all_success": round(outcome.all_success, 4),
-        "touched": round(outcome.touched, 4),
+        "collided": round(outcome.collided, 4),
         "initial_mm": round(outcome.initial_mm, 2),
         "final_mm": round(outcome.final_mm, 2),
         "distance_p_value": ""

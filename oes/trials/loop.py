@@ -1,8 +1,8 @@
 """One trial of model predictive control in the simulator (paper 3.3, 4.2 and appendix C.3).
 
-The planner sees one new photograph a step, from one random camera of the rig, and the goals; the
-true state sets up the trial and measures its end, nothing else. An object that perception misses
-keeps the position that the model forecast.
+At every step the planner gets one RGB-D image from a random camera of the rig. It knows the goals
+and the initial positions, but never the true state, which only sets up and scores the trial. An
+object that is not detected keeps the position that the world model predicted.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,116 +17,110 @@ from oes.mpc.sampler import PlannerConfig
 from oes.mpc.search import Plan, PlanError
 from oes.sim.arm import ReachError
 from oes.sim.world import FIRST_OBJECT, ROBOT
-from oes.trials.planner import Observation, Planner, SceneT
+from oes.trials.planner import CameraObservation, Planner, SceneT
 from oes.trials.task import Task, TrialScenario
 from oes.trials.world_models import StateEstimate
 
-COLLIDED = "an obstacle was touched"
+COLLIDED = "collision with an obstacle"
 
 
 class PushEnv(Protocol):
-    """A world that a trial can run in; ``oes.sim.pushing.PushWorld`` is one."""
+    """Environment of a trial, such as ``oes.sim.pushing.PushWorld``."""
 
     def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_xy_m: Floats) -> None:
-        """Set the scene."""
+        """Set up a scene."""
 
     def push(self, tip_start_xy_m: Floats, action_3: Floats, rng: np.random.Generator) -> Step:
-        """Push once; the settled state."""
+        """Push once and return the settled state."""
 
     def step_now(self, rng: np.random.Generator) -> Step:
-        """The state now, with fresh cameras."""
+        """The current state, with newly sampled cameras."""
 
 
 @dataclass(frozen=True)
 class StepRecord:
-    """One step of a trial, kept for its film: the photograph, what was made of it, and the push
-    chosen (or none).
-    """
+    """Observation, state estimate and plan (None: no push) of one step, kept for the video."""
 
     rgb_HW3: NDArray[np.uint8]
     camera: Camera
-    belief: StateEstimate
-    chosen: Plan | None
+    estimate: StateEstimate
+    plan: Plan | None
 
 
 @dataclass(frozen=True)
 class TrialResult:
-    """How a trial went; distances G in metres. ``failure`` says why it broke off, empty if it did
-    not.
+    """Distances G (metres) to the goals: initial and final true ones, and the final estimated ones.
+
+    ``failure`` is the reason of an early end, empty without one.
     """
 
     initial_G: Floats
     final_G: Floats
-    believed_G: Floats
+    estimated_G: Floats
     steps_used: int
     failure: str
-    moments: tuple[StepRecord, ...]
+    steps: tuple[StepRecord, ...]
 
 
 def run_trial(
-    world: PushEnv,
-    photograph: Callable[[Step, Camera], Observation],
+    env: PushEnv,
+    sensor: Callable[[Step, Camera], CameraObservation],
     planner: Planner[SceneT],
     task: Task,
-    cfg: TrialScenario,
-    search_cfg: PlannerConfig,
+    scenario: TrialScenario,
+    planner_cfg: PlannerConfig,
     rngs: tuple[np.random.Generator, np.random.Generator],
 ) -> TrialResult:
-    """Perceive, plan, push, until all seems done or the pushes are used up. ``rngs``: of cameras
-    and of proposals.
+    """Perceive, plan and push until the goals seem reached or ``max_steps`` pushes are made.
 
-    A step whose plan would not improve matters is spent standing still. What breaks a trial off (an
-    object off the table, an obstacle touched, no free start, a start out of reach) is its
-    ``failure``; the final distances are those at that moment.
+    ``rngs`` sample cameras and plans. A step without a plan that improves the cost uses up a push.
+    A fallen object, a collision with an obstacle, or the lack of a feasible or reachable push ends
+    the trial with a ``failure``.
     """
     camera_rng, plan_rng = rngs
-    world.reset(task.bodies, task.world_T_obj_N44, task.tip_xy_m)
-    step, moments = world.step_now(camera_rng), list[StepRecord]()
-    initial_G = believed_G = _distance(step.center_N3, task.goal_G3)
-    center_N3, size_N3 = (
-        task.center_N3,
-        np.full_like(task.center_N3, planner.cfg.track.unseen_size_m),
-    )
-    for steps_used in range(cfg.max_steps + 1):
-        camera = step.cameras[camera_rng.integers(len(step.cameras))]
-        photos = photograph(step, camera)
-        belief = planner.perceive(photos, center_N3, size_N3)
-        believed_G = _distance(belief.center_N3, task.goal_G3)
-        moments.append(StepRecord(photos.frames.rgb_VHW3[0], camera, belief, None))
-        failure = _mishap(step, len(task.goal_G3))
-        if failure or steps_used == cfg.max_steps or believed_G.max() < cfg.stop_m:
+    env.reset(task.bodies, task.world_T_obj_N44, task.tip_xy_m)
+    state, steps = env.step_now(camera_rng), list[StepRecord]()
+    initial_G = _goal_distance(state.center_N3, task.goal_G3)
+    center_N3 = task.center_N3
+    size_N3 = np.full_like(center_N3, planner.cfg.track.unseen_size_m)
+    for steps_used in range(scenario.max_steps + 1):
+        camera = state.cameras[camera_rng.integers(len(state.cameras))]
+        observation = sensor(state, camera)
+        estimate = planner.perceive(observation, center_N3, size_N3)
+        estimated_G = _goal_distance(estimate.center_N3, task.goal_G3)
+        steps.append(StepRecord(observation.frames.rgb_VHW3[0], camera, estimate, None))
+        failure = _failure_reason(state, len(task.goal_G3))
+        is_done = steps_used == scenario.max_steps or estimated_G.max() < scenario.stop_m
+        if failure or is_done:
             break
         try:
-            chosen = planner.choose(belief, task.goal_G3, search_cfg, plan_rng)
-            step = _push(world, chosen, camera_rng) if chosen else world.step_now(camera_rng)
+            plan = planner.plan(estimate, task.goal_G3, planner_cfg, plan_rng)
+            state = _execute(env, plan, camera_rng)
         except (PlanError, ReachError) as error:
             failure = str(error)
             break
-        moments[-1] = replace(moments[-1], chosen=chosen)
-        center_N3 = chosen.position_TN3[0].double().numpy() if chosen else belief.center_N3
-        size_N3 = belief.size_N3
-    return TrialResult(
-        initial_G,
-        _distance(step.center_N3, task.goal_G3),
-        believed_G,
-        steps_used,
-        failure,
-        tuple(moments),
-    )
+        steps[-1] = replace(steps[-1], plan=plan)
+        # The next detections are matched to where the model predicts the objects.
+        center_N3 = plan.position_TN3[0].double().numpy() if plan else estimate.center_N3
+        size_N3 = estimate.size_N3
+    final_G = _goal_distance(state.center_N3, task.goal_G3)
+    return TrialResult(initial_G, final_G, estimated_G, steps_used, failure, tuple(steps))
 
 
-def _mishap(step: Step, num_moved: int) -> str:
-    """What has gone wrong, if anything; obstacles are the objects after the first ``num_moved``."""
-    if (step.center_N3[:, 2] < 0).any():
+def _failure_reason(state: Step, num_goals: int) -> str:
+    """Why a state ends the trial, or ""; objects after the first ``num_goals`` are obstacles."""
+    if (state.center_N3[:, 2] < 0).any():
         return "an object fell off the table"
-    obstacle = FIRST_OBJECT + num_moved
-    return COLLIDED if step.contact_AA[ROBOT:obstacle, obstacle:].any() else ""
+    obstacle = FIRST_OBJECT + num_goals
+    return COLLIDED if state.contact_AA[ROBOT:obstacle, obstacle:].any() else ""
 
 
-def _push(world: PushEnv, chosen: Plan, rng: np.random.Generator) -> Step:
-    return world.push(chosen.tip_3[:2].double().numpy(), chosen.actions_T3[0].double().numpy(), rng)
+def _execute(env: PushEnv, plan: Plan | None, rng: np.random.Generator) -> Step:
+    """The state after the plan's first action."""
+    if plan is None:
+        return env.step_now(rng)
+    return env.push(plan.tip_3[:2].double().numpy(), plan.actions_T3[0].double().numpy(), rng)
 
 
-def _distance(position_N3: Floats, goal_G3: Floats) -> Floats:
-    """Metres from the goals of the objects that have one, which come first."""
+def _goal_distance(position_N3: Floats, goal_G3: Floats) -> Floats:
     return np.asarray(np.linalg.norm(position_N3[: len(goal_G3)] - goal_G3, axis=1))

@@ -1,6 +1,4 @@
-"""Obstacles between an object and its goal, so placed that no straight way is free and yet there is
-a way (C.3).
-"""
+"""Obstacles between an object and its goal that block the straight path but leave another (C.3)."""
 
 from collections.abc import Sequence
 
@@ -16,58 +14,61 @@ from oes.sim.scene import ScatterConfig, SceneRejected
 
 @params
 class ObstaclesConfig:
-    """Objects in the way. The first stands at a share of ``along`` (range) of the straight way, up
-    to ``aside_m`` off it, the others anywhere; all keep ``gap_m`` from each other and from the
-    object at its start and at its goal, and leave a way on which it could pass so far from all,
-    however it is turned.
+    """The first obstacle stands at a fraction (range) of the straight path, up to ``lateral_m``
+    beside it; the others stand anywhere. All keep ``gap_m`` from each other, from the object and
+    from its goal, and leave a path with that clearance at any orientation of the object.
     """
 
     count: int
-    along: tuple[float, float]
-    aside_m: float
+    path_fraction: tuple[float, float]
+    lateral_m: float
     gap_m: float
 
 
 def draw_obstacles(
-    outline: shapely.Geometry,
-    way_22: Floats,
-    things: Sequence[tuple[Mesh, Body]],
+    footprint: shapely.Geometry,
+    path_22: Floats,
+    obstacles: Sequence[tuple[Mesh, Body]],
     table: ScatterConfig,
     cfg: ObstaclesConfig,
     rng: np.random.Generator,
 ) -> Floats:
-    """Poses of the obstacles ``things``: O44. ``outline`` is the object's at the start of
-    ``way_22``, which ends at its goal. Raises Rejected.
+    """Poses (n, 4, 4) of the obstacles; ``path_22`` is the object's start and goal.
+
+    ``footprint`` is the object's at the start. Raises SceneRejected.
     """
-    start, goal = shapely.points(way_22)
-    inner_m, outer_m = outline.boundary.distance(start), shapely.hausdorff_distance(outline, start)
-    straight = shapely.LineString(way_22).buffer(inner_m)
+    start, goal = shapely.points(path_22)
+    inner_m = footprint.boundary.distance(start)
+    outer_m = shapely.hausdorff_distance(footprint, start)
     taken = [start.buffer(outer_m), goal.buffer(outer_m)]
     poses: list[Floats] = []
-    for mesh, body in things:
-        xy = (
-            rng.uniform(-table.spread_m, table.spread_m, 2)
-            if poses
-            else _in_the_way(way_22, cfg, rng)
-        )
+    for mesh, body in obstacles:
+        xy = _uniform_xy(table, rng) if poses else _near_path(path_22, cfg, rng)
         poses.append(upright(mesh, body, xy, rng.uniform(-np.pi, np.pi)))
         taken.append(body_footprint(mesh, body, poses[-1]))
         if min(taken[-1].distance(other) for other in taken[:-1]) < cfg.gap_m:
             raise SceneRejected("an obstacle stands too close to something")
-    if not taken[2].intersects(straight):
-        raise SceneRejected("a straight way is free")
-    edge = shapely.box(-table.rim_m, -table.rim_m, table.rim_m, table.rim_m)
-    room = edge.buffer(-outer_m).difference(
-        shapely.union_all(taken[2:]).buffer(outer_m + cfg.gap_m)
-    )
-    if not any(part.contains(start) and part.contains(goal) for part in shapely.get_parts(room)):
-        raise SceneRejected("no way is free")
+    # The inscribed disc: a path that is blocked for it is blocked at every orientation.
+    if not taken[2].intersects(shapely.LineString(path_22).buffer(inner_m)):
+        raise SceneRejected("the straight path is free")
+    # Positions of the circumscribed disc; start and goal must lie in the same connected part.
+    table_edge = shapely.box(-table.rim_m, -table.rim_m, table.rim_m, table.rim_m)
+    blocked = shapely.union_all(taken[2:]).buffer(outer_m + cfg.gap_m)
+    free = shapely.get_parts(table_edge.buffer(-outer_m).difference(blocked))
+    if not any(part.contains(start) and part.contains(goal) for part in free):
+        raise SceneRejected("no path is free")
     return np.array(poses)
 
 
-def _in_the_way(way_22: Floats, cfg: ObstaclesConfig, rng: np.random.Generator) -> Floats:
-    along = way_22[1] - way_22[0]
-    aside = np.array([-along[1], along[0]]) / np.linalg.norm(along)
-    return np.asarray(
-        way_22[0] + rng.uniform(*cfg.along) * along + rng.uniform(-cfg.aside_m, cfg.aside_m) * aside
+def _uniform_xy(table: ScatterConfig, rng: np.random.Generator) -> Floats:
+    return rng.uniform(-table.spread_m, table.spread_m, 2)
+
+
+def _near_path(path_22: Floats, cfg: ObstaclesConfig, rng: np.random.Generator) -> Floats:
+    along = path_22[1] - path_22[0]
+    normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    fraction, lateral_m = (
+        rng.uniform(*cfg.path_fraction),
+        rng.uniform(-cfg.lateral_m, cfg.lateral_m),
     )
+    return np.asarray(path_22[0] + fraction * along + lateral_m * normal)

@@ -1,6 +1,4 @@
-"""The planner of a trial: photographs in, pushes out. It knows what perception sees, and has no
-access to a world.
-"""
+"""The planner of a trial: observations in, pushes out. It has no access to the simulator."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,24 +23,20 @@ SceneT = TypeVar("SceneT")
 
 @params
 class TrackConfig:
-    """How detections become the objects of the task.
+    """``gate_m``: largest distance of a detection from the predicted position of its object.
 
-    A detection belongs to an object at most ``gate_m`` from where that is expected; an object
-    never detected counts as a cube of ``unseen_size_m``; mask voxels above ``mask`` (0..1) make up
-    its footprint.
+    ``unseen_size_m``: side of the cube that stands for an object never detected.
+    ``mask_threshold``: occupancy probability above which a voxel belongs to the footprint.
     """
 
     gate_m: float
     unseen_size_m: float
-    mask: float
+    mask_threshold: float
 
 
 @params
 class PlanningConfig:
-    """What every planner has in common: which pushes it may propose, what it avoids, how it follows
-    the objects, and how many standard deviations of a plan's cost count beside its mean, where
-    several futures of it are imagined.
-    """
+    """Settings shared by all planners; ``risk_weight``: see ``oes.mpc.search.RiskConfig``."""
 
     push: PushConfig
     avoid: AvoidConfig
@@ -51,10 +45,8 @@ class PlanningConfig:
 
 
 @dataclass(frozen=True)
-class Observation:
-    """What is photographed at one step: RGB-D from one camera (V = 1) and, for those who want it,
-    RGB from above.
-    """
+class CameraObservation:
+    """RGB-D frames of one camera (V = 1), and an overhead image for models that use one."""
 
     frames: Frames
     camera: Camera
@@ -62,13 +54,13 @@ class Observation:
 
 
 class Perception(Protocol[SceneT]):
-    """Perception as a trial uses it; ``oes.perception.perceiver.Perceiver`` is one."""
+    """The part of ``oes.perception.perceiver.Perceiver`` that a planner uses."""
 
     def encode(self, frames: Frames, cameras: Sequence[Camera]) -> SceneT:
-        """Whatever the other methods need of the images."""
+        """Scene features of the images."""
 
     def detect(self, scene: SceneT) -> tuple[Tensor, Tensor, Tensor]:
-        """Boxes: centres D3, sizes D3, scores D."""
+        """Centres P3, sizes P3 and scores P of the detected boxes."""
 
     def objects(
         self,
@@ -83,77 +75,69 @@ class Perception(Protocol[SceneT]):
 
 
 class Planner(Generic[SceneT]):
-    """Perception, model and goals together: photographs in, pushes out. It has no access to the
-    simulator.
-    """
+    """Perception, tracking, world model and search."""
 
     def __init__(
         self,
-        eyes: Perception[SceneT],
+        perception: Perception[SceneT],
         voxel_m: float,
-        mind: WorldModel,
+        world_model: WorldModel,
         rod: Rod,
         half_m: float,
         cfg: PlanningConfig,
     ) -> None:
-        """``voxel_m``: the side of the voxels of the crops that ``eyes`` gives; ``half_m``: the
-        table's half width.
-        """
-        self.eyes, self.voxel_m, self.mind = eyes, voxel_m, mind
+        """``voxel_m``: voxel side of the object crops; ``half_m``: half width of the table."""
+        self.perception, self.voxel_m, self.world_model = perception, voxel_m, world_model
         self.rod, self.half_m, self.cfg = rod, half_m, cfg
 
-    def perceive(self, photos: Observation, center_N3: Floats, size_N3: Floats) -> StateEstimate:
-        """The objects expected at ``center_N3`` with sizes ``size_N3``, as now seen (or as
-        expected, if not seen).
-        """
-        frames, cameras = photos.frames, [photos.camera]
-        scene = self.eyes.encode(frames, cameras)
-        seen_center_D3, seen_size_D3, _ = (
-            values.double().cpu().numpy() for values in self.eyes.detect(scene)
+    def perceive(
+        self, observation: CameraObservation, center_N3: Floats, size_N3: Floats
+    ) -> StateEstimate:
+        """Update predicted box centres and sizes with the detections of an observation."""
+        frames, cameras = observation.frames, [observation.camera]
+        scene = self.perception.encode(frames, cameras)
+        detected_center_P3, detected_size_P3, _ = (
+            values.double().cpu().numpy() for values in self.perception.detect(scene)
         )
-        center_N3, size_N3, is_seen_N = update_tracks(
-            center_N3, size_N3, seen_center_D3, seen_size_D3, self.cfg.track.gate_m
+        center_N3, size_N3, is_detected_N = update_tracks(
+            center_N3, size_N3, detected_center_P3, detected_size_P3, self.cfg.track.gate_m
         )
         center, size, score = (
-            torch.from_numpy(values).float() for values in (center_N3, size_N3, is_seen_N)
+            torch.from_numpy(x).float() for x in (center_N3, size_N3, is_detected_N)
         )
-        objects = self.eyes.objects(scene, center, size, score, frames, cameras)
-        return StateEstimate(objects, center_N3, size_N3, is_seen_N, photos.overhead_HW3)
+        objects = self.perception.objects(scene, center, size, score, frames, cameras)
+        return StateEstimate(objects, center_N3, size_N3, is_detected_N, observation.overhead_HW3)
 
-    def choose(
-        self,
-        belief: StateEstimate,
-        goal_G3: Floats,
-        search_cfg: PlannerConfig,
-        rng: np.random.Generator,
+    def plan(
+        self, estimate: StateEstimate, goal_G3: Floats, cfg: PlannerConfig, rng: np.random.Generator
     ) -> Plan | None:
-        """The best push found for the first G objects, or None where none betters standing still.
+        """The cheapest plan for the first G objects, or None if not moving is as cheap.
 
-        The other objects are obstacles. Raises PlanError when there is nothing to choose from.
+        The other objects are obstacles. Raises PlanError if no plan is feasible.
         """
-        occupancy_NXYZ = belief.objects.crop_NCXYZ[:, 0].float().cpu().numpy()
-        shapes = [
-            object_footprint(center, size, occupancy, self.voxel_m, self.cfg.track.mask)
-            for center, size, occupancy in zip(
-                belief.center_N3, belief.size_N3, occupancy_NXYZ, strict=True
-            )
-        ]
-        scene = PlanningScene(shapes[: len(goal_G3)], shapes[len(goal_G3) :], self.rod, self.half_m)
-        cost = GoalCost(scene, goal_G3, self.cfg.avoid)
-        sampler, headings_G = (
-            PushSampler(scene.moved, scene.obstacles, self.rod, self.cfg.push, rng),
-            cost.headings(),
-        )
-        asks_again = self.mind.draws_futures and search_cfg.num_samples > 1
-        found = search(
-            lambda elites: sampler(search_cfg, headings_G, elites),
-            lambda proposals, futures: self.mind.imagine(belief, goal_G3, proposals, futures),
+        cost = GoalCost(self._planning_scene(estimate, len(goal_G3)), goal_G3, self.cfg.avoid)
+        scene, headings_G = cost.scene, cost.headings()
+        sampler = PushSampler(scene.moved, scene.obstacles, self.rod, self.cfg.push, rng)
+        risk = None
+        if self.world_model.is_stochastic and cfg.num_samples > 1:
+            risk = RiskConfig(cfg.num_reranked, cfg.num_samples, self.cfg.risk_weight)
+        plan = search(
+            lambda elites_SC: sampler(cfg, headings_G, elites_SC),
+            lambda candidates, num_samples: self.world_model.predict(
+                estimate, goal_G3, candidates, num_samples
+            ),
             cost,
-            search_cfg.iterations,
-            search_cfg.num_elites,
-            RiskConfig(search_cfg.num_reranked, search_cfg.num_samples, self.cfg.risk_weight)
-            if asks_again
-            else None,
+            cfg.iterations,
+            cfg.num_elites,
+            risk,
         )
-        judges_itself = self.mind.view is not None  # then its cost is on a scale of its own
-        return found if judges_itself or found.cost < cost.initial() else None
+        # Image-based models predict costs on a scale of their own, without one for no motion.
+        has_own_cost = self.world_model.view is not None
+        return plan if has_own_cost or plan.cost < cost.initial() else None
+
+    def _planning_scene(self, estimate: StateEstimate, num_goals: int) -> PlanningScene:
+        occupancy_NXYZ = estimate.objects.crop_NCXYZ[:, 0].float().cpu().numpy()
+        boxes = zip(estimate.center_N3, estimate.size_N3, occupancy_NXYZ, strict=True)
+        threshold = self.cfg.track.mask_threshold
+        shapes = [object_footprint(*box, self.voxel_m, threshold) for box in boxes]
+        return PlanningScene(shapes[:num_goals], shapes[num_goals:], self.rod, self.half_m)

@@ -1,4 +1,4 @@
-"""What came of many trials: one row each, and films of some."""
+"""Rows and videos of finished trials."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ TRIAL_COLUMNS = (
     "num_objects",
     "success",
     "all_success",
-    "touched",
+    "collided",
     "initial_mm",
     "mean_final_mm",
-    "believed_mm",
+    "estimated_mm",
     "steps_used",
     "failure",
     "video",
@@ -34,54 +34,55 @@ Videos = dict[tuple[str, int], str]  # (planner, trial) -> file name
 
 @dataclass(frozen=True)
 class Trial:
-    """One finished trial. ``failure`` says why it broke off, or why there is no ``outcome``, or not
-    even a ``task``.
-    """
+    """A finished trial; ``failure``: reason of an early end or of a missing task or result."""
 
     planner: str
     trial_i: int
     task: Task | None
-    outcome: TrialResult | None
+    result: TrialResult | None
     failure: str
+
+    def distance_m(self) -> float:
+        """Mean final distance of the objects to their goals; infinite without a result."""
+        return float(self.result.final_G.mean()) if self.result else float("inf")
+
+    def succeeds(self, success_m: float) -> bool:
+        """Whether the trial ended regularly with a mean distance below ``success_m``."""
+        return not self.failure and self.distance_m() < success_m
 
 
 def write_videos(
-    trials: Sequence[Trial], scenario: TrialScenario, film: VideoConfig, num_videos: int, out: Path
+    trials: Sequence[Trial], scenario: TrialScenario, cfg: VideoConfig, num_videos: int, out: Path
 ) -> Videos:
-    """Films of the first ``num_videos`` successes and failures of each planner."""
+    """Videos of the first ``num_videos`` successes and failures of each planner."""
     names: Videos = {}
     for planner, is_success in product(scenario.planners, (True, False)):
-        word = "success" if is_success else "failure"
-        ran = [t for t in trials if t.planner == planner and t.outcome and t.outcome.moments]
-        for trial in [t for t in ran if _succeeds(t, scenario) == is_success][:num_videos]:
-            assert trial.task is not None and trial.outcome is not None
-            name = names[planner, trial.trial_i] = f"{planner}_{trial.trial_i:03d}_{word}.mp4"
-            verdict = trial.failure or f"{word}: {trial.outcome.final_G.mean() * 1e3:.0f} mm"
-            write_trial_video(
-                trial.outcome, trial.task.goal_G3, verdict, scenario.success_m, film, out / name
-            )
+        own = [t for t in trials if t.planner == planner and t.result and t.result.steps]
+        label = "success" if is_success else "failure"
+        chosen = [t for t in own if t.succeeds(scenario.success_m) == is_success]
+        for trial in chosen[:num_videos]:
+            assert trial.task is not None and trial.result is not None
+            name = names[planner, trial.trial_i] = f"{planner}_{trial.trial_i:03d}_{label}.mp4"
+            verdict = trial.failure or f"{label}: {trial.distance_m() * 1e3:.0f} mm"
+            goals, path = trial.task.goal_G3, out / name
+            write_trial_video(trial.result, goals, verdict, scenario.success_m, cfg, path)
     return names
 
 
 def trial_rows(
     trials: Sequence[Trial], name: str, model: str, scenario: TrialScenario, videos: Videos
 ) -> list[dict[str, object]]:
-    """One row a trial, of ``TRIAL_COLUMNS``; a trial that never began has no distances."""
+    """A row of ``TRIAL_COLUMNS`` per trial; a trial that never began has no distances."""
     return [
         {
             "scenario": name,
             "model": model,
             "planner": trial.planner,
-            "plans": (search := scenario.planners[trial.planner]).iterations
-            * search.num_candidates,
-            "horizon": search.horizon_steps,
+            "plans": (cfg := scenario.planners[trial.planner]).iterations * cfg.num_candidates,
+            "horizon": cfg.horizon_steps,
             "trial_i": trial.trial_i,
             "num_objects": len(trial.task.bodies) if trial.task else 0,
-            "success": _succeeds(trial, scenario),
-            "all_success": _succeeds(trial, scenario) and _largest_m(trial) < scenario.success_m,
-            "touched": trial.failure == COLLIDED,
-            **_distances(trial.outcome),
-            "steps_used": trial.outcome.steps_used if trial.outcome else 0,
+            **_measures(trial, scenario.success_m),
             "failure": "" if trial.failure == COLLIDED else trial.failure,
             "video": videos.get((trial.planner, trial.trial_i), ""),
         }
@@ -89,22 +90,16 @@ def trial_rows(
     ]
 
 
-def _succeeds(trial: Trial, scenario: TrialScenario) -> bool:
-    """Mean true distance under the tolerance, in a trial that nothing broke off."""
-    return (
-        trial.outcome is not None
-        and not trial.failure
-        and bool(trial.outcome.final_G.mean() < scenario.success_m)
-    )
-
-
-def _largest_m(trial: Trial) -> float:
-    return float(trial.outcome.final_G.max()) if trial.outcome else float("inf")
-
-
-def _distances(outcome: TrialResult | None) -> dict[str, str]:
-    names = ("initial_mm", "mean_final_mm", "believed_mm")
-    if outcome is None:
-        return dict.fromkeys(names, "nan")
-    values = (outcome.initial_G, outcome.final_G, outcome.believed_G)
-    return {name: f"{value.mean() * 1e3:.3f}" for name, value in zip(names, values, strict=True)}
+def _measures(trial: Trial, success_m: float) -> dict[str, object]:
+    result, is_success = trial.result, trial.succeeds(success_m)
+    distances = (result.initial_G, result.final_G, result.estimated_G) if result else ()
+    initial, final, estimated = [f"{d.mean() * 1e3:.3f}" for d in distances] or ["nan"] * 3
+    return {
+        "success": is_success,
+        "all_success": bool(is_success and result and result.final_G.max() < success_m),
+        "collided": trial.failure == COLLIDED,
+        "initial_mm": initial,
+        "mean_final_mm": final,
+        "estimated_mm": estimated,
+        "steps_used": result.steps_used if result else 0,
+    }

@@ -1,4 +1,4 @@
-"""Control tasks: which objects stand where, and where each shall go (paper appendix C.3)."""
+"""Control tasks: initial poses of novel objects, and their goals (paper appendix C.3)."""
 
 import zlib
 from collections.abc import Sequence
@@ -18,19 +18,19 @@ from oes.trials.obstacles import ObstaclesConfig, draw_obstacles
 
 @params
 class TrialScenario:
-    """Objects to push to one goal each, and maybe obstacles that must not be touched.
+    """Distribution of tasks, and the planners tried on each.
 
-    Goals lie ``goal_m`` (range) from their object's start, within +- ``goal_spread_m`` of the
-    table's centre, and so far apart that the objects' boxes keep ``goal_gap_m`` however they are
-    turned. A trial ends after ``max_steps`` pushes, when every object is believed within ``stop_m``
-    of its goal, or when an obstacle is touched; it succeeds when the objects' true mean distance is
-    under ``success_m``. ``settle_ms`` passes after each push. ``planners``: by name, the ways of
-    searching that are tried on the same tasks.
+    ``goal_distance_m``: range of the distance of a goal from its object's start.
+    ``goal_spread_m``: largest |x| and |y| of a goal.
+    ``goal_gap_m``: smallest gap between the enclosing circles of objects at their goals.
+    ``stop_m``: a trial ends when every object's estimated distance is below, or after
+    ``max_steps`` pushes. ``success_m``: a trial succeeds when the true mean distance is below.
+    ``settle_ms``: time after each push. ``max_attempts``: samples until a task is feasible.
     """
 
     num_objects: tuple[int, int]
     scatter: ScatterConfig
-    goal_m: tuple[float, float]
+    goal_distance_m: tuple[float, float]
     goal_spread_m: float
     goal_gap_m: float
     obstacles: ObstaclesConfig
@@ -44,10 +44,8 @@ class TrialScenario:
 
 @dataclass(frozen=True)
 class Task:
-    """What stands where at the start, where the rod is, and where box centres shall go (world,
-    metres).
-
-    The first G objects have goals; the others are obstacles.
+    """Initial bodies, poses and box centres, the rod's initial position, and goals of box centres
+    (world, metres) for the first G objects. The other objects are obstacles.
     """
 
     bodies: tuple[Body, ...]
@@ -58,66 +56,57 @@ class Task:
 
 
 def generator(seed: int, scenario: str, trial_i: int, stream: int) -> np.random.Generator:
-    """The random numbers of one purpose (stream) in one trial: the same for every model."""
+    """Random numbers for one purpose (stream) in one trial, the same for every model."""
     return np.random.default_rng([seed, zlib.crc32(scenario.encode()), trial_i, stream])
 
 
 def draw_task(
     catalogue: Catalogue, sim: SimConfig, cfg: TrialScenario, rng: np.random.Generator
 ) -> Task:
-    """Novel objects standing apart, some with a goal. Raises Rejected when no attempt fits the
-    table.
-    """
-    reasons = []
+    """A random task with test objects. Raises SceneRejected when no attempt is feasible."""
+    reason = ""
     for _ in range(cfg.max_attempts):
         try:
             return _attempt(catalogue, sim, cfg, rng)
         except SceneRejected as error:
-            reasons.append(str(error))
-    raise SceneRejected(
-        f"no task in {cfg.max_attempts} attempts; the last failed with: {reasons[-1]}"
-    )
+            reason = str(error)
+    raise SceneRejected(f"no task in {cfg.max_attempts} attempts; the last failed with: {reason}")
 
 
 def _attempt(
     catalogue: Catalogue, sim: SimConfig, cfg: TrialScenario, rng: np.random.Generator
 ) -> Task:
-    num_moved = int(rng.integers(cfg.num_objects[0], cfg.num_objects[1] + 1))
+    low, high = cfg.num_objects
+    num_moved = int(rng.integers(low, high + 1))
     meshes = draw_meshes(catalogue.split("test"), num_moved + cfg.obstacles.count, rng)
     bodies = tuple(draw_body(mesh, sim.bodies, rng) for mesh in meshes)
-    things = list(zip(meshes, bodies, strict=True))
+    objects = list(zip(meshes, bodies, strict=True))
     poses = scatter(meshes[:num_moved], bodies[:num_moved], cfg.scatter, rng)
-    center_G3, size_G3 = _boxes(things[:num_moved], poses)
+    center_G3, size_G3 = _boxes(objects[:num_moved], poses)
     goal_G3 = _goals(center_G3, np.linalg.norm(size_G3[:, :2], axis=1) / 2, cfg, rng)
     if cfg.obstacles.count:
-        way_22 = np.stack([center_G3[0, :2], goal_G3[0, :2]])
-        outline = body_footprint(*things[0], poses[0])
-        obstacles = draw_obstacles(
-            outline, way_22, things[num_moved:], cfg.scatter, cfg.obstacles, rng
-        )
+        path_22 = np.stack([center_G3[0, :2], goal_G3[0, :2]])
+        footprint, others = body_footprint(*objects[0], poses[0]), objects[num_moved:]
+        obstacles = draw_obstacles(footprint, path_22, others, cfg.scatter, cfg.obstacles, rng)
         poses = np.concatenate([poses, obstacles])
-    center_N3, size_N3 = _boxes(things, poses)
+    center_N3, size_N3 = _boxes(objects, poses)
     return Task(bodies, poses, center_N3, goal_G3, _free_tip(center_N3, size_N3, sim, rng))
 
 
-def _boxes(things: Sequence[tuple[Mesh, Body]], poses: Floats) -> tuple[Floats, Floats]:
-    """Centres N3 and sizes N3 of the boxes of posed bodies."""
-    boxes = [true_box(mesh, body, pose) for (mesh, body), pose in zip(things, poses, strict=True)]
-    centers, sizes = (np.array(values) for values in zip(*boxes, strict=True))
-    return centers, sizes
+def _boxes(objects: Sequence[tuple[Mesh, Body]], poses: Floats) -> tuple[Floats, Floats]:
+    """Box centres N3 and sizes N3 of posed bodies."""
+    boxes = [true_box(*one, pose) for one, pose in zip(objects, poses, strict=True)]
+    return np.array([center for center, _ in boxes]), np.array([size for _, size in boxes])
 
 
 def _goals(
     center_N3: Floats, radius_N: Floats, cfg: TrialScenario, rng: np.random.Generator
 ) -> Floats:
-    """A goal for each object at a uniform distance and bearing. Raises Rejected when they leave the
-    table or crowd.
-    """
-    distance = rng.uniform(*cfg.goal_m, size=len(center_N3))
+    """A goal per object at a uniform distance and bearing. Raises SceneRejected."""
+    distance = rng.uniform(*cfg.goal_distance_m, size=len(center_N3))
     bearing = rng.uniform(-np.pi, np.pi, size=len(center_N3))
-    goals = center_N3 + distance[:, None] * np.stack(
-        [np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1
-    )
+    direction_N3 = np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
+    goals = center_N3 + distance[:, None] * direction_N3
     if np.abs(goals[:, :2]).max() > cfg.goal_spread_m:
         raise SceneRejected("a goal lies outside its bounds")
     for i, j in zip(*np.triu_indices(len(goals), 1), strict=True):
@@ -129,9 +118,7 @@ def _goals(
 def _free_tip(
     center_N3: Floats, size_N3: Floats, sim: SimConfig, rng: np.random.Generator
 ) -> Floats:
-    """A place for the rod off every object's box by its diameter. Raises Rejected after one
-    miss.
-    """
+    """A position of the rod a diameter off every object's box. Raises SceneRejected."""
     tip_xy = rng.uniform(-sim.robot.workspace_m, sim.robot.workspace_m, size=2)
     outside = np.abs(tip_xy - center_N3[:, :2]) > size_N3[:, :2] / 2 + 2 * sim.robot.rod_radius_m
     if not outside.any(axis=1).all():

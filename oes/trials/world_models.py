@@ -1,9 +1,8 @@
-"""What a planner imagines with: an object graph, Visual Foresight or PlaNet; each tells what a set
-of pushes would do.
+"""World models of the planner: an object graph, Visual Foresight or PlaNet.
 
-The pictures from above that the last two look at are taken without the arm. Both know what is
-pushed, and where, from the same detections as the others; nothing else of those reaches PlaNet, and
-Visual Foresight designates their centres' pixels.
+The image-based models see overhead images without the arm, and choose pushes from the same
+detections as the graph models. Beyond that, PlaNet uses no detections; Visual Foresight designates
+the pixels of the detected centres.
 """
 
 from dataclasses import dataclass
@@ -28,39 +27,39 @@ from oes.dynamics.checkpoint import load_model
 from oes.dynamics.unroll import DynamicsModel, initial_state, unroll_samples
 from oes.episode import Floats
 from oes.mpc.search import Candidates, Rollouts
-from oes.objects import Objects
+from oes.objects import Objects, map_tensors
 
 
 @dataclass(frozen=True)
 class StateEstimate:
-    """The task's objects as perceived; the same centres and sizes as arrays; which were seen just
-    now; the picture from above, for those who look at it.
+    """Perceived objects of the task, their boxes as arrays, whether each was detected in the last
+    observation, and the overhead image for models that use one.
     """
 
     objects: Objects
     center_N3: Floats
     size_N3: Floats
-    is_seen_N: NDArray[np.bool_]
+    is_detected_N: NDArray[np.bool_]
     overhead_HW3: NDArray[np.uint8] | None
 
 
 class WorldModel(Protocol):
-    """A model as a planner uses it. ``view``: the picture from above that it wants, if any;
-    ``draws_futures``: whether it imagines more than one of a plan.
+    """Predictor of the outcome of candidate plans.
+
+    ``view``: the overhead camera of an image-based model, else None. ``is_stochastic``: whether
+    ``predict`` can sample several futures.
     """
 
     @property
     def view(self) -> OverheadView | None: ...
 
     @property
-    def draws_futures(self) -> bool: ...
+    def is_stochastic(self) -> bool: ...
 
-    def imagine(
-        self, belief: StateEstimate, goal_G3: Floats, proposals: Candidates, futures: int = 1
+    def predict(
+        self, estimate: StateEstimate, goal_G3: Floats, candidates: Candidates, num_samples: int = 1
     ) -> Rollouts:
-        """What the proposals would do, in up to so many futures each; the goals are those of the
-        first G objects.
-        """
+        """Outcomes in up to ``num_samples`` futures per plan; the first G objects have goals."""
 
 
 @dataclass(frozen=True)
@@ -71,131 +70,121 @@ class GraphWorldModel:
     view: None = None
 
     @property
-    def draws_futures(self) -> bool:
-        """Whether the model does."""
+    def is_stochastic(self) -> bool:
+        """Whether the network samples futures."""
         return self.model.num_samples > 1
 
     @torch.inference_mode()
-    def imagine(
-        self, belief: StateEstimate, goal_G3: Floats, proposals: Candidates, futures: int = 1
+    def predict(
+        self, estimate: StateEstimate, goal_G3: Floats, candidates: Candidates, num_samples: int = 1
     ) -> Rollouts:
-        """Appearance is read once; every plan meets the same draws of it, the one of what is seen
-        first.
-        """
-        samples, objects = len(proposals.actions_ST3), belief.objects
-        batched = Objects(**{name: value[None] for name, value in vars(objects).items()})
-        draws = min(self.model.num_samples, futures)
-        appearance_1NC = self.model.appearance(batched)
-        appearance_DNC = self.model.sample(appearance_1NC)[:draws] if draws > 1 else appearance_1NC
-        appearance_FNC = appearance_DNC.repeat_interleave(samples, 0)
-        tip_F3, actions_FH3 = (
-            proposals.tip_S3.repeat(draws, 1),
-            proposals.actions_ST3.repeat(draws, 1, 1),
+        """All plans see the same samples of the objects; the first is the mean estimate."""
+        batched = map_tensors(estimate.objects, lambda x: x[None])
+        num_samples, num_plans = min(self.model.num_samples, num_samples), len(candidates.tip_S3)
+        # Encoded once: appearance does not depend on the plan.
+        appearance = self.model.appearance(batched)
+        if num_samples > 1:
+            appearance = self.model.sample(appearance)[:num_samples]
+        boxes = (batched.center_N3, batched.valid_N)
+        state = initial_state(*(x.expand(num_samples * num_plans, *x.shape[1:]) for x in boxes))
+        rollout = unroll_samples(
+            self.model,
+            appearance.repeat_interleave(num_plans, 0),
+            state,
+            candidates.tip_S3.repeat(num_samples, 1),
+            candidates.actions_ST3.repeat(num_samples, 1, 1),
         )
-        state = initial_state(
-            *(x.expand(draws * samples, *x.shape[1:]) for x in (batched.center_N3, batched.valid_N))
-        )
-        found = unroll_samples(self.model, appearance_FNC, state, tip_F3, actions_FH3)
-        position_FHN3 = objects.center_N3 + found.translation_BTN3
-        return Rollouts(
-            _path(proposals).repeat(draws, 1, 1),
-            position_FHN3,
-            found.rotation_BTN33,
-            num_samples=draws,
-        )
+        position = estimate.objects.center_N3 + rollout.translation_BTN3
+        tip = _tip_path(candidates).repeat(num_samples, 1, 1)
+        return Rollouts(tip, position, rollout.rotation_BTN33, num_samples=num_samples)
 
 
 @dataclass(frozen=True)
 class ForesightWorldModel:
-    """Moves designated pixels, one an object; a plan costs their expected distance to the goals'
-    pixels.
+    """Visual Foresight with one designated pixel per object.
+
+    Cost: expected distance of the designated pixels to the goals' pixels (metres).
     """
 
     net: VisualForesight
     view: OverheadView
-    draws_futures: bool = False
+    is_stochastic: bool = False
 
     @torch.inference_mode()
-    def imagine(
-        self, belief: StateEstimate, goal_G3: Floats, proposals: Candidates, futures: int = 1
+    def predict(
+        self, estimate: StateEstimate, goal_G3: Floats, candidates: Candidates, num_samples: int = 1
     ) -> Rollouts:
-        """Turns are not foreseen."""
-        above = OverheadCamera(self.view)
-        place_N2 = torch.from_numpy(above.project(belief.center_N3)).float()
-        _, maps_SHNYX = unroll_pixels(
-            self.net, _picture(belief), place_N2, *_pushes(above, proposals)
-        )
-        samples, horizon, count, height, width = maps_SHNYX.shape
-        place_SHN2 = (
-            torch.stack([expected_pixel(maps) for maps in maps_SHNYX.unbind(1)], 1).double().numpy()
-        )
-        height_SHN = np.broadcast_to(belief.center_N3[:, 2], place_SHN2.shape[:-1])
-        position = np.concatenate([above.unproject(place_SHN2, height_SHN), height_SHN[..., None]], -1)
-        goal_G2 = torch.from_numpy(above.project(goal_G3)).float()
-        away_GYX = (pixel_grid(height, width, maps_SHNYX) - goal_G2[:, None, None]).norm(dim=-1)
-        cost_ST = (maps_SHNYX[:, :, : len(goal_G3)] * away_GYX).sum((-2, -1)).mean(
-            -1
-        ) * self.view.half_m
-        turned = torch.eye(3).expand(samples, horizon, count, 3, 3)
-        return Rollouts(_path(proposals), torch.from_numpy(position).float(), turned, cost_ST)
+        """Objects keep their height and orientation."""
+        camera = OverheadCamera(self.view)
+        start_N2 = torch.from_numpy(camera.project(estimate.center_N3)).float()
+        tip_S2, actions_ST2 = _projected(camera, candidates)
+        image = _overhead_image(estimate)
+        _, maps_STNHW = unroll_pixels(self.net, image, start_N2, tip_S2, actions_ST2)
+        num_plans, horizon, count, height, width = maps_STNHW.shape
+        pixels = [expected_pixel(maps_SNHW) for maps_SNHW in maps_STNHW.unbind(1)]
+        pixel_STN2 = torch.stack(pixels, 1).double().numpy()
+        height_STN = np.broadcast_to(estimate.center_N3[:, 2], pixel_STN2.shape[:-1])
+        xy_STN2 = camera.unproject(pixel_STN2, height_STN)
+        position = torch.from_numpy(np.concatenate([xy_STN2, height_STN[..., None]], -1)).float()
+        goal_G2 = torch.from_numpy(camera.project(goal_G3)).float()
+        grid = pixel_grid(height, width, maps_STNHW)
+        distance_GHW = (grid - goal_G2[:, None, None]).norm(dim=-1)
+        expected_STG = (maps_STNHW[:, :, : len(goal_G3)] * distance_GHW).sum((-2, -1))
+        cost_ST = expected_STG.mean(-1) * self.view.half_m
+        rotation = torch.eye(3).expand(num_plans, horizon, count, 3, 3)
+        return Rollouts(_tip_path(candidates), position, rotation, cost_ST)
 
 
 @dataclass(frozen=True)
 class PlanetWorldModel:
-    """Foretells rewards in a latent space; a plan costs minus its reward. It places no object:
-    those seem to stay.
-    """
+    """PlaNet; the cost is minus the predicted reward (metres). Objects are reported as static."""
 
     net: PlaNet
     view: OverheadView
-    draws_futures: bool = False
+    is_stochastic: bool = False
 
     @torch.inference_mode()
-    def imagine(
-        self, belief: StateEstimate, goal_G3: Floats, proposals: Candidates, futures: int = 1
+    def predict(
+        self, estimate: StateEstimate, goal_G3: Floats, candidates: Candidates, num_samples: int = 1
     ) -> Rollouts:
-        """Goals are told in the order of their objects from left to right, as in training."""
-        above = OverheadCamera(self.view)
-        order = np.argsort(above.project(belief.center_N3[: len(goal_G3)])[:, 0])[
-            : self.net.cfg.max_goals
-        ]
-        goals = torch.zeros(self.net.cfg.max_goals, 3)
-        goals[: len(order)] = torch.from_numpy(
-            np.column_stack([above.project(goal_G3[order]), np.ones(len(order))])
-        )
-        _, rewards_SH = unroll_latent(self.net, _picture(belief), goals, *_pushes(above, proposals))
-        position = belief.objects.center_N3.expand(*rewards_SH.shape, -1, -1)
-        turned = torch.eye(3).expand(*position.shape, 3)
-        return Rollouts(_path(proposals), position, turned, -rewards_SH * self.view.half_m)
+        """Goals are ordered as in training: by the image x of their objects."""
+        camera, max_goals = OverheadCamera(self.view), self.net.cfg.max_goals
+        start_G2 = camera.project(estimate.center_N3[: len(goal_G3)])
+        order = np.argsort(start_G2[:, 0])[:max_goals]
+        goals = torch.zeros(max_goals, 3)
+        goal_G3 = np.column_stack([camera.project(goal_G3[order]), np.ones(len(order))])
+        goals[: len(order)] = torch.from_numpy(goal_G3)
+        tip_S2, actions_ST2 = _projected(camera, candidates)
+        image = _overhead_image(estimate)
+        _, rewards_ST = unroll_latent(self.net, image, goals, tip_S2, actions_ST2)
+        position = estimate.objects.center_N3.expand(*rewards_ST.shape, -1, -1)
+        rotation = torch.eye(3).expand(*position.shape, 3)
+        return Rollouts(_tip_path(candidates), position, rotation, -rewards_ST * self.view.half_m)
 
 
-def _path(proposals: Candidates) -> Tensor:
-    """The rod's places, SI3."""
-    tip_S13 = proposals.tip_S3[:, None]
-    return torch.cat([tip_S13, tip_S13 + proposals.actions_ST3.cumsum(1)], 1)
+def _tip_path(candidates: Candidates) -> Tensor:
+    """World positions SI3 of the rod's tip."""
+    tip_S13 = candidates.tip_S3[:, None]
+    return torch.cat([tip_S13, tip_S13 + candidates.actions_ST3.cumsum(1)], 1)
 
 
-def _pushes(above: OverheadCamera, proposals: Candidates) -> tuple[Tensor, Tensor]:
-    """Where the rod starts, S2, and its displacements, SH2, as seen from above."""
-    place_SI2 = torch.from_numpy(above.project(_path(proposals).double().numpy())).float()
-    return place_SI2[:, 0], place_SI2.diff(dim=1)
+def _projected(camera: OverheadCamera, candidates: Candidates) -> tuple[Tensor, Tensor]:
+    """Starts S2 and displacements ST2 of the rod in normalised image coordinates."""
+    tip_SI2 = torch.from_numpy(camera.project(_tip_path(candidates).double().numpy())).float()
+    return tip_SI2[:, 0], tip_SI2.diff(dim=1)
 
 
-def _picture(belief: StateEstimate) -> Tensor:
+def _overhead_image(estimate: StateEstimate) -> Tensor:
     """3HW, 0 to 1."""
-    assert belief.overhead_HW3 is not None, "no picture from above was taken"
-    return torch.from_numpy(belief.overhead_HW3).permute(2, 0, 1).float() / 255
+    assert estimate.overhead_HW3 is not None, "the observation has no overhead image"
+    return torch.from_numpy(estimate.overhead_HW3).permute(2, 0, 1).float() / 255
 
 
 def load_world_model(folder: Path) -> WorldModel:
-    """The model in ``folder``, of whichever kind. Raises as ``load_model`` and
-    ``load_baseline``.
-    """
-    if is_baseline(folder):
-        net, view = load_baseline(folder)
-        return (
-            ForesightWorldModel(net, view)
-            if isinstance(net, VisualForesight)
-            else PlanetWorldModel(net, view)
-        )
-    return GraphWorldModel(load_model(folder))
+    """The model in ``folder``. Raises as ``load_model`` and ``load_baseline``."""
+    if not is_baseline(folder):
+        return GraphWorldModel(load_model(folder))
+    net, view = load_baseline(folder)
+    if isinstance(net, VisualForesight):
+        return ForesightWorldModel(net, view)
+    return PlanetWorldModel(net, view)

@@ -1,4 +1,4 @@
-"""What planners imagine with, on nets whose answers are known."""
+"""Image-based world models, on networks with known outputs."""
 
 import numpy as np
 import pytest
@@ -15,12 +15,12 @@ VIEW = OverheadView(side_px=64, height_m=1.5, half_m=0.32)
 CENTERS = np.array([[0.1, 0.05, 0.03], [-0.12, 0.0, 0.02]])
 GOALS = CENTERS + np.array([[0.1, 0.0, 0.0], [0.0, -0.05, 0.0]])
 TIPS = torch.tensor([[0.0, 0.05, 0.02], [0.0, 0.0, 0.02], [0.2, 0.2, 0.02]])
-PROPOSALS = Candidates(
+CANDIDATES = Candidates(
     TIPS, torch.full((3, 4, 3), 0.03) * torch.tensor([1.0, 1, 0]), torch.zeros(3, 0)
 )
 
 
-def _belief() -> StateEstimate:
+def _estimate() -> StateEstimate:
     count = len(CENTERS)
     center, size = torch.from_numpy(CENTERS).float(), torch.full((count, 3), 0.07)
     objects = Objects(
@@ -39,60 +39,72 @@ def _belief() -> StateEstimate:
     return StateEstimate(objects, CENTERS, size.numpy(), np.ones(count, dtype=bool), picture)
 
 
-def test_visual_foresight_that_moves_nothing_leaves_objects_where_they_are() -> None:
+def test_visual_foresight_without_flow_predicts_static_objects() -> None:
     net = VisualForesight(ForesightConfig(channels=(8, 8), num_flows=2)).eval()
     torch.nn.init.zeros_(net.out.weight)
     torch.nn.init.zeros_(net.out.bias)
-    imagined = ForesightWorldModel(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
-    assert imagined.tip_SI3.shape == (3, 5, 3)
-    assert torch.allclose(imagined.tip_SI3[:, -1, :2], TIPS[:, :2] + 0.12)
-    assert np.abs(imagined.position_STN3.numpy() - CENTERS).max() < 1e-3
-    assert imagined.cost_ST is not None and imagined.cost_ST.shape == (3, 4)
-    assert imagined.cost_ST.flatten().tolist() == pytest.approx([0.075] * 12, rel=0.06), (
+    rollouts = ForesightWorldModel(net, VIEW).predict(_estimate(), GOALS, CANDIDATES)
+    assert rollouts.tip_SI3.shape == (3, 5, 3)
+    assert torch.allclose(rollouts.tip_SI3[:, -1, :2], TIPS[:, :2] + 0.12)
+    assert np.abs(rollouts.position_STN3.numpy() - CENTERS).max() < 1e-3
+    assert rollouts.cost_ST is not None and rollouts.cost_ST.shape == (3, 4)
+    assert rollouts.cost_ST.flatten().tolist() == pytest.approx([0.075] * 12, rel=0.06), (
         "expected distance, mean"
     )
 
 
-def test_visual_foresight_that_carries_pixels_along_carries_objects() -> None:
+def test_visual_foresight_moves_objects_with_their_pixels() -> None:
     """Everything moves by one pixel to the right in each step: 1 cm."""
     net = VisualForesight(ForesightConfig(channels=(8, 8), num_flows=1)).eval()
     torch.nn.init.zeros_(net.out.weight)
     net.out.bias.data[:] = torch.tensor([float(np.arctanh(-2 / 64 / 0.3)), 0.0, 20.0, 0.0, 0.0])
-    imagined = ForesightWorldModel(net, VIEW).imagine(_belief(), GOALS, PROPOSALS)
-    moved = imagined.position_STN3[:, -1].numpy() - CENTERS
+    rollouts = ForesightWorldModel(net, VIEW).predict(_estimate(), GOALS, CANDIDATES)
+    moved = rollouts.position_STN3[:, -1].numpy() - CENTERS
     assert moved[..., 0] == pytest.approx(0.04, abs=2e-3) and np.abs(moved[..., 1]).max() < 1e-3
 
 
-def test_planet_costs_what_it_is_not_rewarded_and_moves_nothing() -> None:
+def test_planet_cost_is_minus_reward_and_objects_are_static() -> None:
     torch.manual_seed(0)
-    net = PlaNet(PlanetConfig(base_channels=4, recurrent_dim=16, stochastic_dim=4, hidden_dim=16, max_goals=2)).eval()
-    mind = PlanetWorldModel(net, VIEW)
-    imagined = mind.imagine(_belief(), GOALS, PROPOSALS)
+    net = PlaNet(
+        PlanetConfig(
+            base_channels=4, recurrent_dim=16, stochastic_dim=4, hidden_dim=16, max_goals=2
+        )
+    ).eval()
+    model = PlanetWorldModel(net, VIEW)
+    rollouts = model.predict(_estimate(), GOALS, CANDIDATES)
     assert (
-        imagined.cost_ST is not None
-        and imagined.cost_ST.shape == (3, 4)
-        and torch.isfinite(imagined.cost_ST).all()
+        rollouts.cost_ST is not None
+        and rollouts.cost_ST.shape == (3, 4)
+        and torch.isfinite(rollouts.cost_ST).all()
     )
-    assert torch.equal(imagined.position_STN3[1, 2], torch.from_numpy(CENTERS).float())
+    assert torch.equal(rollouts.position_STN3[1, 2], torch.from_numpy(CENTERS).float())
     torch.nn.init.zeros_(net.reward_head[-1].weight)
     net.reward_head[-1].bias.data[:] = -0.5
-    assert (mind.imagine(_belief(), GOALS, PROPOSALS).cost_ST == 0.5 * VIEW.half_m).all()
+    assert (model.predict(_estimate(), GOALS, CANDIDATES).cost_ST == 0.5 * VIEW.half_m).all()
 
 
-def test_planet_hears_of_goals_from_left_to_right() -> None:
+def test_planet_orders_goals_from_left_to_right() -> None:
     """The second object stands to the left of the first: swapping both objects and goals changes
     nothing.
     """
     torch.manual_seed(0)
-    net = PlaNet(PlanetConfig(base_channels=4, recurrent_dim=16, stochastic_dim=4, hidden_dim=16, max_goals=2)).eval()
-    mind, belief = PlanetWorldModel(net, VIEW), _belief()
+    net = PlaNet(
+        PlanetConfig(
+            base_channels=4, recurrent_dim=16, stochastic_dim=4, hidden_dim=16, max_goals=2
+        )
+    ).eval()
+    model, estimate = PlanetWorldModel(net, VIEW), _estimate()
     swapped = StateEstimate(
-        belief.objects, CENTERS[::-1].copy(), belief.size_N3, belief.is_seen_N, belief.overhead_HW3
+        estimate.objects,
+        CENTERS[::-1].copy(),
+        estimate.size_N3,
+        estimate.is_detected_N,
+        estimate.overhead_HW3,
     )
     first, again = (
-        mind.imagine(b, g, PROPOSALS).cost_ST
-        for b, g in ((belief, GOALS), (swapped, GOALS[::-1].copy()))
+        model.predict(b, g, CANDIDATES).cost_ST
+        for b, g in ((estimate, GOALS), (swapped, GOALS[::-1].copy()))
     )
-    other = mind.imagine(swapped, GOALS, PROPOSALS).cost_ST
+    other = model.predict(swapped, GOALS, CANDIDATES).cost_ST
     assert first is not None and again is not None and other is not None
     assert torch.equal(first, again) and not torch.allclose(first, other)

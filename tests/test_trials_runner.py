@@ -1,6 +1,4 @@
-"""Many trials through the real perceiver and models (untrained): rows, films, failures and the same
-for every run.
-"""
+"""Runs of trials with untrained networks: rows, videos, failures, resumption, determinism."""
 
 import csv
 from dataclasses import replace
@@ -22,8 +20,8 @@ from tests.blocks import SMOKE, make_catalogue, make_weights
 def cfg() -> TrialsConfig:
     trials = load(SMOKE, "trials", TrialsConfig)
     targets = replace(trials.scenarios["targets"], max_steps=2)
-    film = replace(trials.film, zoom=2, look_s=0.2, push_s=0.2, end_s=0.2)
-    return replace(trials, count=2, num_workers=1, scenarios={"targets": targets}, film=film)
+    video = replace(trials.video, zoom=2, observation_s=0.2, plan_s=0.2, end_s=0.2)
+    return replace(trials, num_trials=2, num_workers=1, scenarios={"targets": targets}, video=video)
 
 
 @pytest.fixture(scope="module")
@@ -45,9 +43,9 @@ def found(cfg: TrialsConfig, inputs: TrialInputs, progress: Path) -> list[Trial]
     return run_trials(cfg, "targets", inputs, progress)
 
 
-def test_rows_and_films_of_a_run(cfg: TrialsConfig, found: list[Trial], tmp_path: Path) -> None:
+def test_rows_and_videos_of_a_run(cfg: TrialsConfig, found: list[Trial], tmp_path: Path) -> None:
     targets = cfg.scenarios["targets"]
-    videos = write_videos(found, targets, cfg.film, cfg.num_videos, tmp_path)
+    videos = write_videos(found, targets, cfg.video, cfg.num_videos, tmp_path)
     write_csv(
         tmp_path / "trials.csv",
         trial_rows(found, "targets", "graph_xyz", targets, videos),
@@ -79,42 +77,43 @@ def test_finished_trials_are_not_run_again(
     again = run_trials(cfg, "targets", inputs, progress)
     for old, new in zip(found, again, strict=True):
         assert (old.planner, old.trial_i, old.failure) == (new.planner, new.trial_i, new.failure)
-        assert (
-            old.outcome and new.outcome and np.array_equal(old.outcome.final_G, new.outcome.final_G)
-        )
+        assert old.result and new.result and np.array_equal(old.result.final_G, new.result.final_G)
 
 
-def test_the_same_trials_again(
+def test_a_second_run_gives_the_same_trials(
     cfg: TrialsConfig, inputs: TrialInputs, found: list[Trial], tmp_path: Path
 ) -> None:
-    (first, *_), (again, *_) = found, run_trials(replace(cfg, count=1), "targets", inputs, tmp_path)
-    assert first.task and again.task and first.outcome and again.outcome
+    (first, *_), (again, *_) = (
+        found,
+        run_trials(replace(cfg, num_trials=1), "targets", inputs, tmp_path),
+    )
+    assert first.task and again.task and first.result and again.result
     assert np.array_equal(first.task.goal_G3, again.task.goal_G3)
-    assert np.array_equal(first.outcome.final_G, again.outcome.final_G)
-    assert np.array_equal(first.outcome.moments[-1].rgb_HW3, again.outcome.moments[-1].rgb_HW3)
+    assert np.array_equal(first.result.final_G, again.result.final_G)
+    assert np.array_equal(first.result.steps[-1].rgb_HW3, again.result.steps[-1].rgb_HW3)
 
 
 @pytest.mark.parametrize("model", ["visual_foresight", "planet"])
-def test_models_of_pictures_push_too(
+def test_image_based_models_plan_too(
     cfg: TrialsConfig, inputs: TrialInputs, found: list[Trial], model: str, tmp_path: Path
 ) -> None:
     theirs = replace(inputs, dynamics=inputs.dynamics.with_name(f"pushing-{model}"))
-    trials = run_trials(replace(cfg, count=1), "targets", theirs, tmp_path)
+    trials = run_trials(replace(cfg, num_trials=1), "targets", theirs, tmp_path)
     assert [trial.planner for trial in trials] == ["shooting", "cem"]
     for trial in trials:
-        assert trial.outcome and trial.failure == "" and found[0].task and trial.task
+        assert trial.result and trial.failure == "" and found[0].task and trial.task
         assert np.array_equal(trial.task.goal_G3, found[0].task.goal_G3)
-        assert sum(moment.chosen is not None for moment in trial.outcome.moments) == 2
-        assert trial.outcome.moments[0].belief.overhead_HW3 is not None
+        assert sum(record.plan is not None for record in trial.result.steps) == 2
+        assert trial.result.steps[0].estimate.overhead_HW3 is not None
 
 
-def test_a_trial_that_cannot_begin_is_a_row_with_its_reason(
+def test_a_trial_without_a_task_is_a_row_with_its_reason(
     cfg: TrialsConfig, inputs: TrialInputs, tmp_path: Path
 ) -> None:
-    targets = replace(cfg.scenarios["targets"], goal_m=(5.0, 6.0), max_attempts=3)
-    impossible = replace(cfg, count=1, scenarios={"targets": targets})
+    targets = replace(cfg.scenarios["targets"], goal_distance_m=(5.0, 6.0), max_attempts=3)
+    impossible = replace(cfg, num_trials=1, scenarios={"targets": targets})
     trials = run_trials(impossible, "targets", inputs, tmp_path / "progress")
-    assert write_videos(trials, targets, cfg.film, cfg.num_videos, tmp_path) == {}
+    assert write_videos(trials, targets, cfg.video, cfg.num_videos, tmp_path) == {}
     write_csv(
         tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), TRIAL_COLUMNS
     )
@@ -127,7 +126,7 @@ def test_a_trial_that_cannot_begin_is_a_row_with_its_reason(
     )
 
 
-def test_unknown_scenario_names_the_known(
+def test_an_unknown_scenario_is_refused_with_the_valid_ones(
     cfg: TrialsConfig, inputs: TrialInputs, tmp_path: Path
 ) -> None:
     with pytest.raises(ScenarioError, match=r"unknown scenario 'fly'.*targets"):

@@ -1,4 +1,4 @@
-"""Shapes drawn where the camera sees them, and films that play."""
+"""Shapes drawn at their projections, and videos that play."""
 
 from pathlib import Path
 
@@ -17,10 +17,10 @@ CAMERA = Camera(
 BLACK = np.zeros((64, 64, 3), np.uint8)
 
 
-def _drawn(picture: CameraOverlay) -> tuple[float, float]:
-    """Centre (u, v) of what was drawn, in pixels of the photograph."""
-    v, u = np.nonzero(picture.pixels.any(axis=2))
-    return u.mean() / picture.zoom, v.mean() / picture.zoom
+def _drawn(image: CameraOverlay) -> tuple[float, float]:
+    """Centre (u, v) of the drawn pixels, in pixels of the camera image."""
+    v, u = np.nonzero(image.pixels.any(axis=2))
+    return u.mean() / image.zoom, v.mean() / image.zoom
 
 
 def test_shapes_are_drawn_where_they_project() -> None:
@@ -29,27 +29,27 @@ def test_shapes_are_drawn_where_they_project() -> None:
         ((0, 0.2, 0), (48.2, 32)),
         ((0, 0, 0.2), (32, 16.3)),
     ):
-        picture = CameraOverlay(BLACK, CAMERA, 4)
-        picture.box(np.array(move, float), np.full(3, 0.05), SEEN)
-        assert _drawn(picture) == pytest.approx(place, abs=1.5)
-        assert tuple(picture.pixels.reshape(-1, 3).max(axis=0)) == SEEN
+        image = CameraOverlay(BLACK, CAMERA, 4)
+        image.box(np.array(move, float), np.full(3, 0.05), SEEN)
+        assert _drawn(image) == pytest.approx(place, abs=1.5)
+        assert tuple(image.pixels.reshape(-1, 3).max(axis=0)) == SEEN
     ring = CameraOverlay(BLACK, CAMERA, 4)
     ring.ring(np.zeros(3), 0.1, GOAL)
     assert _drawn(ring) == pytest.approx((32, 32), abs=1.5)
     assert not ring.pixels[128 - 4 : 128 + 4, 128 - 4 : 128 + 4].any(), "a ring is hollow"
 
 
-def test_what_is_behind_the_camera_is_not_drawn() -> None:
-    picture = CameraOverlay(BLACK, CAMERA, 2)
-    picture.box(np.array([2.0, 0.0, 0.8]), np.full(3, 0.05), SEEN)
-    assert not picture.pixels.any()
+def test_shapes_behind_the_camera_are_not_drawn() -> None:
+    image = CameraOverlay(BLACK, CAMERA, 2)
+    image.box(np.array([2.0, 0.0, 0.8]), np.full(3, 0.05), SEEN)
+    assert not image.pixels.any()
 
 
-def test_films_hold_their_pictures_and_repeat_their_bytes(tmp_path: Path) -> None:
-    pictures = [np.full((64, 96, 3), level, np.uint8) for level in (0, 128, 255)]
+def test_videos_hold_their_frames_and_repeat_their_bytes(tmp_path: Path) -> None:
+    frames = [np.full((64, 96, 3), level, np.uint8) for level in (0, 128, 255)]
     for name in ("a", "b"):
-        write_video(pictures, tmp_path / f"{name}.mp4", 5)
-        write_gif([(pixels, 0.4) for pixels in pictures], tmp_path / f"{name}.gif")
+        write_video(frames, tmp_path / f"{name}.mp4", 5)
+        write_gif([(pixels, 0.4) for pixels in frames], tmp_path / f"{name}.gif")
     for suffix in ("mp4", "gif"):
         assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
     with av.open(str(tmp_path / "a.mp4")) as container:

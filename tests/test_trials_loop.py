@@ -1,6 +1,4 @@
-"""The closed loop on the real simulator with a perfect eye and a simple oracle of pushing in the
-place of networks.
-"""
+"""The closed loop in the real simulator, with oracles for perception and dynamics."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -10,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from oes.dynamics.graph import ObjectState, StepMotion
+from oes.dynamics.graph import ObjectState, StepMotion, TipMotion
 from oes.dynamics.unroll import DynamicsModel
 from oes.episode import Camera, Floats, Frames, Step
 from oes.meshes.catalogue import Catalogue
@@ -23,7 +21,7 @@ from oes.sim.scene import ScatterConfig, SceneRejected
 from oes.sim.world import SimConfig
 from oes.trials.loop import COLLIDED, TrialResult, run_trial
 from oes.trials.obstacles import ObstaclesConfig
-from oes.trials.planner import Observation, Planner, PlanningConfig, TrackConfig
+from oes.trials.planner import CameraObservation, Planner, PlanningConfig, TrackConfig
 from oes.trials.task import Task, TrialScenario, draw_task, generator
 from oes.trials.world_models import GraphWorldModel, StateEstimate
 from tests.blocks import make_catalogue, read_sim
@@ -53,10 +51,10 @@ CEM = PlannerConfig(
 TARGETS = TrialScenario(
     num_objects=(1, 2),
     scatter=ScatterConfig(spread_m=0.15, rim_m=0.27, gap_m=0.03),
-    goal_m=(0.08, 0.15),
+    goal_distance_m=(0.08, 0.15),
     goal_spread_m=0.17,
     goal_gap_m=0.02,
-    obstacles=ObstaclesConfig(count=0, along=(0.4, 0.6), aside_m=0.02, gap_m=0.02),
+    obstacles=ObstaclesConfig(count=0, path_fraction=(0.4, 0.6), lateral_m=0.02, gap_m=0.02),
     max_steps=10,
     success_m=0.04,
     stop_m=0.015,
@@ -67,7 +65,7 @@ TARGETS = TrialScenario(
 AROUND = replace(
     TARGETS,
     num_objects=(1, 1),
-    goal_m=(0.24, 0.3),
+    goal_distance_m=(0.24, 0.3),
     obstacles=replace(TARGETS.obstacles, count=1),
     max_steps=20,
     max_attempts=2000,
@@ -81,7 +79,7 @@ PLANNING = PlanningConfig(
         max_turn_deg=0.0,
     ),
     avoid=AvoidConfig(margin_m=0.008, collision_cost_m=1.0),
-    track=TrackConfig(gate_m=0.08, unseen_size_m=0.07, mask=0.5),
+    track=TrackConfig(gate_m=0.08, unseen_size_m=0.07, mask_threshold=0.5),
     risk_weight=0.5,
 )
 
@@ -103,21 +101,19 @@ def world(catalogue: Catalogue, sim: SimConfig) -> Iterator[PushWorld]:
 
 
 class Oracle:
-    """Eyes that know the true boxes (``look`` is shown every state), except those of ``blind``
-    objects.
-    """
+    """Sensor and perception that report true boxes, except those of ``blind`` objects."""
 
     def __init__(self, blind: set[int] = frozenset()) -> None:  # type: ignore[assignment]
         self.blind, self.cameras = blind, list[str]()
 
-    def look(self, step: Step, camera: Camera) -> Observation:
+    def render(self, step: Step, camera: Camera) -> CameraObservation:
         self.step = step
         self.cameras.append(camera.name)
         shape = (1, camera.height_px, camera.width_px)
         nothing = Frames(
             np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
         )
-        return Observation(nothing, camera)
+        return CameraObservation(nothing, camera)
 
     def encode(self, frames: Frames, cameras: Sequence[Camera]) -> Step:
         assert len(cameras) == 1 == len(frames.rgb_VHW3)
@@ -154,12 +150,10 @@ class Shove(DynamicsModel):
     def appearance(self, objects: Objects) -> Tensor:
         return objects.center_N3[..., :0]
 
-    def forward(
-        self, appearance_BNC: Tensor, state: ObjectState, tip_world_B3: Tensor, action_B3: Tensor
-    ) -> StepMotion:
-        length_B1 = action_B3.norm(dim=-1, keepdim=True)
-        forward_B3 = action_B3 / length_B1
-        offset_BN3 = (state.center_BN3 - tip_world_B3[:, None]) * torch.tensor([1.0, 1, 0])
+    def forward(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
+        length_B1 = tip.action_B3.norm(dim=-1, keepdim=True)
+        forward_B3 = tip.action_B3 / length_B1
+        offset_BN3 = (state.center_BN3 - tip.start_B3[:, None]) * torch.tensor([1.0, 1, 0])
         along_BN = (offset_BN3 * forward_B3[:, None]).sum(-1)
         across_BN = (offset_BN3 - along_BN[..., None] * forward_B3[:, None]).norm(dim=-1)
         carried_BN = (
@@ -169,22 +163,22 @@ class Shove(DynamicsModel):
         return StepMotion(dp_BN3, torch.zeros_like(dp_BN3))
 
 
-def _planner(sim: SimConfig, eyes: Oracle) -> Planner[Step]:
+def _planner(sim: SimConfig, perception: Oracle) -> Planner[Step]:
     rod = Rod(sim.robot.rod_radius_m, sim.robot.tip_height_m, sim.robot.workspace_m)
-    return Planner(eyes, 0.01, GraphWorldModel(Shove()), rod, 0.3, PLANNING)
+    return Planner(perception, 0.01, GraphWorldModel(Shove()), rod, 0.3, PLANNING)
 
 
 def _run(
     world: PushWorld,
     sim: SimConfig,
-    eyes: Oracle,
+    perception: Oracle,
     task: Task,
     trial_i: int,
     cfg: TrialScenario = TARGETS,
     search: PlannerConfig = SHOOTING,
 ) -> TrialResult:
     rngs = (generator(0, "targets", trial_i, 1), generator(0, "targets", trial_i, 2))
-    return run_trial(world, eyes.look, _planner(sim, eyes), task, cfg, search, rngs)
+    return run_trial(world, perception.render, _planner(sim, perception), task, cfg, search, rngs)
 
 
 def _task(
@@ -204,44 +198,44 @@ def test_an_oracle_pushes_objects_to_their_goals(
     """Every step costs Bullet time, so only three trials: one object, two objects, and their
     records.
     """
-    outcomes = [
+    results = [
         _run(world, sim, Oracle(), _task(catalogue, sim, i, n), i) for i, n in enumerate((1, 1, 2))
     ]
-    for outcome in outcomes:
-        assert outcome.failure == ""
-        assert (outcome.initial_G > 0.07).all()
-        assert outcome.final_G.mean() < 0.5 * outcome.initial_G.mean()
-        assert outcome.believed_G == pytest.approx(outcome.final_G, abs=1e-6), (
-            "a perfect eye believes the truth"
+    for result in results:
+        assert result.failure == ""
+        assert (result.initial_G > 0.07).all()
+        assert result.final_G.mean() < 0.5 * result.initial_G.mean()
+        assert result.estimated_G == pytest.approx(result.final_G, abs=1e-6), (
+            "the estimate is the ground truth"
         )
-        assert len(outcome.moments) == outcome.steps_used + 1
-        assert outcome.moments[-1].chosen is None
-    assert sum(outcome.final_G.mean() < TARGETS.success_m for outcome in outcomes) >= 2
-    assert any(outcome.steps_used < TARGETS.max_steps for outcome in outcomes), (
+        assert len(result.steps) == result.steps_used + 1
+        assert result.steps[-1].plan is None
+    assert sum(result.final_G.mean() < TARGETS.success_m for result in results) >= 2
+    assert any(result.steps_used < TARGETS.max_steps for result in results), (
         "no trial stopped by itself"
     )
 
 
-def test_same_seed_same_trial_and_one_random_camera_a_step(
+def test_a_trial_repeats_with_its_seed_and_samples_a_camera_per_step(
     catalogue: Catalogue, sim: SimConfig, world: PushWorld
 ) -> None:
     task, short = _task(catalogue, sim, 7, 2), replace(TARGETS, max_steps=2)
-    eyes = [Oracle(), Oracle()]
-    first, again = (_run(world, sim, eye, task, 7, short) for eye in eyes)
+    oracles = [Oracle(), Oracle()]
+    first, again = (_run(world, sim, oracle, task, 7, short) for oracle in oracles)
     assert np.array_equal(first.final_G, again.final_G) and first.steps_used == again.steps_used
-    assert eyes[0].cameras == eyes[1].cameras and len(set(eyes[0].cameras)) > 1
+    assert oracles[0].cameras == oracles[1].cameras and len(set(oracles[0].cameras)) > 1
     assert not np.array_equal(
-        first.moments[0].camera.world_T_cam_44, first.moments[1].camera.world_T_cam_44
+        first.steps[0].camera.world_T_cam_44, first.steps[1].camera.world_T_cam_44
     )
 
 
-def test_an_object_never_seen_stays_where_it_was_said_to_be(
+def test_an_undetected_object_keeps_its_initial_position(
     catalogue: Catalogue, sim: SimConfig, world: PushWorld
 ) -> None:
     task = _task(catalogue, sim, 3, 2)
-    outcome = _run(world, sim, Oracle(blind={1}), task, 3, replace(TARGETS, max_steps=1))
-    first = outcome.moments[0].belief
-    assert first.is_seen_N.tolist() == [True, False]
+    result = _run(world, sim, Oracle(blind={1}), task, 3, replace(TARGETS, max_steps=1))
+    first = result.steps[0].estimate
+    assert first.is_detected_N.tolist() == [True, False]
     assert first.center_N3[1] == pytest.approx(task.center_N3[1])
     assert first.size_N3[1] == pytest.approx(PLANNING.track.unseen_size_m)
     assert first.size_N3[0] != pytest.approx(PLANNING.track.unseen_size_m)
@@ -253,21 +247,21 @@ def test_an_object_off_the_table_ends_the_trial(
     task = _task(catalogue, sim, 0, 1)
     over_the_rim = task.world_T_obj_N44.copy()
     over_the_rim[0, :2, 3] = [0.32, 0.0]
-    outcome = _run(world, sim, Oracle(), replace(task, world_T_obj_N44=over_the_rim), 0)
-    assert outcome.failure == "an object fell off the table"
-    assert outcome.steps_used == 0 and [moment.chosen for moment in outcome.moments] == [None]
+    result = _run(world, sim, Oracle(), replace(task, world_T_obj_N44=over_the_rim), 0)
+    assert result.failure == "an object fell off the table"
+    assert result.steps_used == 0 and [record.plan for record in result.steps] == [None]
 
 
-def test_nothing_to_propose_breaks_the_trial_off_with_its_reason(
+def test_a_trial_without_a_feasible_push_ends_with_its_reason(
     catalogue: Catalogue, sim: SimConfig, world: PushWorld
 ) -> None:
     task = _task(catalogue, sim, 0, 1)
     planner = _planner(sim, Oracle())
     planner.rod = replace(planner.rod, workspace_m=0.01)
     rngs = (generator(0, "targets", 0, 1), generator(0, "targets", 0, 2))
-    outcome = run_trial(world, planner.eyes.look, planner, task, TARGETS, SHOOTING, rngs)  # type: ignore[attr-defined]
-    assert "is free" in outcome.failure and outcome.steps_used == 0
-    assert outcome.final_G == pytest.approx(outcome.initial_G)
+    result = run_trial(world, planner.perception.render, planner, task, TARGETS, SHOOTING, rngs)  # type: ignore[attr-defined]
+    assert "is free" in result.failure and result.steps_used == 0
+    assert result.final_G == pytest.approx(result.initial_G)
 
 
 def test_an_oracle_pushes_around_an_obstacle(
@@ -276,21 +270,21 @@ def test_an_oracle_pushes_around_an_obstacle(
     """Two trials with the cross-entropy method: at least one ends at the goal; what touches the
     obstacle ends there.
     """
-    outcomes = [
+    results = [
         _run(world, sim, Oracle(), _task(catalogue, sim, i, 1, AROUND), i, AROUND, CEM)
         for i in range(2)
     ]
-    arrived = [o for o in outcomes if not o.failure and o.final_G.mean() < AROUND.success_m]
+    arrived = [o for o in results if not o.failure and o.final_G.mean() < AROUND.success_m]
     assert arrived
     assert all(
-        len(outcome.final_G) == 1 and len(outcome.moments[0].belief.center_N3) == 2
-        for outcome in outcomes
+        len(result.final_G) == 1 and len(result.steps[0].estimate.center_N3) == 2
+        for result in results
     )
-    path = np.array([moment.belief.center_N3 for moment in arrived[0].moments])
+    path = np.array([record.estimate.center_N3 for record in arrived[0].steps])
     assert np.ptp(path[:, 1], axis=0) == pytest.approx(0, abs=1e-3), "the obstacle did not move"
 
 
-def test_a_touched_obstacle_ends_the_trial(
+def test_a_collision_with_an_obstacle_ends_the_trial(
     catalogue: Catalogue, sim: SimConfig, world: PushWorld
 ) -> None:
     """A planner that does not care about the obstacle runs into it."""
@@ -298,12 +292,12 @@ def test_a_touched_obstacle_ends_the_trial(
     planner = _planner(sim, Oracle())
     planner.cfg = replace(PLANNING, avoid=AvoidConfig(margin_m=-1.0, collision_cost_m=0.0))
     rngs = (generator(0, "targets", 1, 1), generator(0, "targets", 1, 2))
-    outcome = run_trial(world, planner.eyes.look, planner, task, AROUND, CEM, rngs)  # type: ignore[attr-defined]
-    assert outcome.failure == COLLIDED and 0 < outcome.steps_used < AROUND.max_steps
-    assert len(outcome.moments) == outcome.steps_used + 1, "the film ends with what happened"
+    result = run_trial(world, planner.perception.render, planner, task, AROUND, CEM, rngs)  # type: ignore[attr-defined]
+    assert result.failure == COLLIDED and 0 < result.steps_used < AROUND.max_steps
+    assert len(result.steps) == result.steps_used + 1, "the last record shows the collision"
 
 
-def test_obstacles_bar_every_straight_way_and_leave_another(
+def test_obstacles_block_the_straight_path_and_leave_another(
     catalogue: Catalogue, sim: SimConfig
 ) -> None:
     for count in (1, 2, 3):
@@ -323,15 +317,18 @@ def test_obstacles_bar_every_straight_way_and_leave_another(
             apart = np.linalg.norm(task.center_N3[1:, None, :2] - np.stack([start, goal]), axis=-1)
             assert apart.min() > 0.06
     with pytest.raises(SceneRejected, match="in 3 attempts"):
-        _task(catalogue, sim, 0, 1, replace(AROUND, max_attempts=3, goal_m=(0.05, 0.06)))
+        _task(catalogue, sim, 0, 1, replace(AROUND, max_attempts=3, goal_distance_m=(0.05, 0.06)))
 
 
-def test_tasks_keep_the_rules(catalogue: Catalogue, sim: SimConfig) -> None:
+def test_tasks_satisfy_their_scenario(catalogue: Catalogue, sim: SimConfig) -> None:
     counts = set()
     for trial_i in range(40):
         task = draw_task(catalogue, sim, TARGETS, generator(0, "targets", trial_i, 0))
         distance = np.linalg.norm(task.goal_G3 - task.center_N3, axis=1)
-        assert distance.min() >= TARGETS.goal_m[0] and distance.max() <= TARGETS.goal_m[1]
+        assert (
+            distance.min() >= TARGETS.goal_distance_m[0]
+            and distance.max() <= TARGETS.goal_distance_m[1]
+        )
         assert np.abs(task.goal_G3[:, :2]).max() <= TARGETS.goal_spread_m
         assert task.goal_G3[:, 2] == pytest.approx(task.center_N3[:, 2])
         counts.add(len(task.bodies))
@@ -344,7 +341,7 @@ def test_tasks_keep_the_rules(catalogue: Catalogue, sim: SimConfig) -> None:
     assert np.array_equal(task.goal_G3, same) and not np.array_equal(same, other)
 
 
-def test_imagining_reads_appearance_once_and_moves_what_is_in_the_way() -> None:
+def test_graph_world_model_moves_the_objects_in_the_way() -> None:
     objects = Oracle().objects(
         None,
         torch.tensor([[0.1, 0.0, 0.02], [0.0, 0.2, 0.02]]),
@@ -352,17 +349,17 @@ def test_imagining_reads_appearance_once_and_moves_what_is_in_the_way() -> None:
         torch.ones(2),
     )  # type: ignore[arg-type]
     tips: Floats = np.array([[0.04, 0.0, 0.02], [0.0, 0.1, 0.02]])
-    proposals = Candidates(
+    candidates = Candidates(
         torch.from_numpy(tips).float(),
         torch.tensor([[[0.05, 0, 0]], [[0, 0.05, 0]]]),
         torch.zeros(2, 0),
     )
-    belief = StateEstimate(
+    estimate = StateEstimate(
         objects, objects.center_N3.numpy(), objects.size_N3.numpy(), np.ones(2, dtype=bool), None
     )
-    imagined = GraphWorldModel(Shove()).imagine(belief, np.zeros((2, 3)), proposals)
-    positions = imagined.position_STN3
-    assert imagined.tip_SI3[:, 1].tolist() == [
+    rollouts = GraphWorldModel(Shove()).predict(estimate, np.zeros((2, 3)), candidates)
+    positions = rollouts.position_STN3
+    assert rollouts.tip_SI3[:, 1].tolist() == [
         pytest.approx([0.09, 0, 0.02]),
         pytest.approx([0, 0.15, 0.02]),
     ]
