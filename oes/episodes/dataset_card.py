@@ -139,7 +139,7 @@ def _impact_share(episodes: Sequence[Episode]) -> dict[str, float]:
 
 
 def _count(values: Iterable[object]) -> dict[str, int]:
-    return {str(value): count for value, count in sorted(Counter(values).items())}  # type: ignore[type-var]
+    return {str(value): count for value, count in sorted(Counter(values).items())}
 
 
 def _spread(values: Floats) -> Spread:

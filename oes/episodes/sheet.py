@@ -34,7 +34,7 @@ Pixels = NDArray[np.uint8]
 
 SEG_COLOURS = {0: "#ffffff", SEG_TABLE: "#d8d2c8", SEG_ROBOT: "#6b6b6b"}
 COLOURS = ("#e4572e", "#2878b5", "#5b9a3c", "#d9a400", "#8e5ea2", "#3aa6a0", "#b0416a")
-TABLE_HALF_M = 0.3
+TABLE_M = 0.6
 NUM_COLUMNS = 9
 CORNERS_83 = np.array(list(product((-0.5, 0.5), repeat=3)))
 EDGES = [(a, b) for a, b in combinations(range(8), 2) if a ^ b in (1, 2, 4)]
@@ -111,7 +111,7 @@ def draw_boxes(image_HW3: Pixels, camera: Camera, center_N3: Floats, size_N3: Fl
             # The centre of the first pixel is (0.5, 0.5) here and (0, 0) in OpenCV.
             pixels_82 = np.rint(np.clip(uv_82 - 0.5, -1e4, 1e4)).astype(int).tolist()
             for a, b in EDGES:
-                cv2.line(image_HW3, pixels_82[a], pixels_82[b], _rgb(_colour(object_i)).tolist())
+                cv2.line(image_HW3, pixels_82[a], pixels_82[b], _rgb(_colour(object_i)))
 
 
 def depth_image(depth_m_VHW: NDArray[np.float32], near_m: float, far_m: float) -> Pixels:
@@ -124,7 +124,8 @@ def depth_image(depth_m_VHW: NDArray[np.float32], near_m: float, far_m: float) -
 def seg_image(seg_VHW: Pixels) -> Pixels:
     """Segmentation ids as flat colours V H W 3."""
     objects = {i: _colour(i - SEG_FIRST_OBJECT) for i in range(SEG_FIRST_OBJECT, 256)}
-    return np.array([_rgb((SEG_COLOURS | objects)[i]) for i in range(256)])[seg_VHW]
+    palette = [_rgb((SEG_COLOURS | objects)[i]) for i in range(256)]
+    return np.array(palette, dtype=np.uint8)[seg_VHW]
 
 
 def contact_pairs(episode: Episode) -> list[tuple[int, int]]:
@@ -138,7 +139,8 @@ def charts(episode: Episode) -> Pixels:
     figure = Figure(figsize=(12, 4), layout="constrained")
     above, displacement, contacts = figure.subplots(1, 3)
     above.set(title="from above, x and y in m", aspect="equal")
-    above.add_patch(Rectangle((-TABLE_HALF_M,) * 2, *(2 * TABLE_HALF_M,) * 2, color="#f6f3ee"))
+    table = Rectangle((-TABLE_M / 2, -TABLE_M / 2), TABLE_M, TABLE_M, color="#f6f3ee")
+    above.add_patch(table)
     if episode.has_robot:
         tip_I3 = np.array([step.tip_world_3 for step in episode.steps])
         commanded_I3 = tip_I3[0] + np.cumsum([np.zeros(3), *episode.actions_T3], axis=0)
@@ -152,9 +154,10 @@ def charts(episode: Episode) -> Pixels:
         moved_mm = [displacement_mm(episode, step_i)[object_i] for step_i in states]
         displacement.plot(states, moved_mm, color=colour)
         for step_i, step in enumerate(episode.steps):
-            center, size = step.center_N3[object_i, :2], step.size_N3[object_i, :2]
-            alpha = (step_i + 1) / len(states)  # the later the darker
-            box = Rectangle(center - size / 2, *size, fill=False, color=colour, alpha=alpha)
+            width, height = step.size_N3[object_i, :2]
+            x, y = step.center_N3[object_i, :2] - step.size_N3[object_i, :2] / 2
+            alpha = (step_i + 1) / len(states)  # later states are darker
+            box = Rectangle((x, y), width, height, fill=False, color=colour, alpha=alpha)
             above.add_patch(box)
     above.autoscale_view()
     names = ["table", "rod", *(f"{i + 1} {body.mesh}" for i, body in enumerate(episode.bodies))]
@@ -165,8 +168,8 @@ def charts(episode: Episode) -> Pixels:
         spans = [(i - 1, 1) for i in states if i and episode.steps[i].contact_AA[a, b]]
         contacts.broken_barh(spans, (row - 0.3, 0.6), color=_colour(b - 2))
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3]
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
 
 
 def _tables(episode: Episode) -> list[Table]:
@@ -190,8 +193,8 @@ def _colour(object_i: int) -> str:
     return COLOURS[object_i % len(COLOURS)]
 
 
-def _rgb(colour: str) -> Pixels:
-    return np.rint(255 * np.array(to_rgb(colour))).astype(np.uint8)
+def _rgb(colour: str) -> list[int]:
+    return [round(255 * share) for share in to_rgb(colour)]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,5 +1,7 @@
-"""Episodes on disk: one rosbag2 directory (MCAP, ROS 2 messages) each. The only package that knows
-mcap and rosbags.
+"""Episodes on disk: each a rosbag2 folder (MCAP, ROS 2 messages). Alone in importing mcap, rosbags.
+
+Reading order: ``messages`` (topics and types), ``encode`` and ``writer``, ``bag`` (the container),
+``decode`` and ``reader``; then ``check``, ``recover`` and the command ``doctor``.
 """
 
 from oes.record.errors import EpisodeError

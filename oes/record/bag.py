@@ -1,9 +1,9 @@
-"""The container: an MCAP file read under distrust.
+"""The container: an MCAP file, none of whose bytes is trusted before it is verified.
 
-The mcap package's readers check neither the summary's checksum nor, before they allocate, any size;
-a flipped bit in one zstd frame header is then worth gigabytes. So here every length is compared
-with the bytes that exist and with a cap, every checksum is verified, and only then does mcap parse
-records.
+The readers of the mcap package (1.6) verify neither the summary's checksum nor a size before they
+allocate it: one flipped bit in the header of a zstd frame makes them allocate gigabytes. Here every
+length is compared with the size of the file and with a cap, and every checksum is verified, before
+mcap parses a record.
 """
 
 import struct
@@ -34,7 +34,7 @@ MAX_CHUNK_BYTES = 64 << 20
 
 
 class Message(NamedTuple):
-    """One message as it lies in a chunk."""
+    """One serialized message of a chunk."""
 
     channel_id: int
     sequence: int
@@ -44,7 +44,7 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class Summary:
-    """The checked table of contents of one file."""
+    """The verified summary section of a file; ``counts`` are the messages by topic."""
 
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
@@ -53,9 +53,7 @@ class Summary:
 
 
 class Bag:
-    """One open MCAP file; a context manager. Every method raises EpisodeError for what is
-    broken.
-    """
+    """One open MCAP file; a context manager. Every method raises EpisodeError for damage."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -70,14 +68,12 @@ class Bag:
         self._file.close()
 
     def summary(self) -> Summary:
-        """Read the summary section after its checksum has been verified."""
+        """Parse the summary section after its checksum has been verified."""
         with episode_errors(self.path):
             return _parse_summary(self._summary_section()[1])
 
     def messages(self, chunk: ChunkIndex) -> Iterator[Message]:
-        """The messages of one chunk of the summary, after its sizes and its checksum have been
-        verified.
-        """
+        """The messages of one chunk, after its sizes and its checksum have been verified."""
         with episode_errors(self.path):
             opcode, body = _one_record(self._read(chunk.chunk_start_offset, chunk.chunk_length))
             if opcode != Opcode.CHUNK:
@@ -86,31 +82,27 @@ class Bag:
         return messages(data)
 
     def verify(self) -> None:
-        """Check every byte of the file against the checksums of the data section and of the
-        summary.
-        """
+        """Verify every byte by the checksums of the data section and of the summary."""
         with episode_errors(self.path):
             data_end = self._summary_section()[0] - DATA_END_BYTES
             opcode, body = _one_record(self._read(data_end, DATA_END_BYTES))
             if opcode != Opcode.DATA_END:
                 raise ValueError("the data section does not end where the summary begins")
             crc = 0
-            for start in range(0, data_end, BLOCK_BYTES):
+            for start in range(0, data_end, BLOCK_BYTES):  # bounds memory for any file size
                 crc = zlib.crc32(self._read(start, min(BLOCK_BYTES, data_end - start)), crc)
             if crc != int.from_bytes(body, "little"):
                 raise ValueError("checksum of the data section differs")
 
     def _read(self, start: int, length: int) -> bytes:
-        """Exactly ``length`` bytes, which must exist and be fewer than a chunk may have, before
-        they are allocated.
-        """
+        """``length`` bytes, which must exist and not exceed the cap, before they are allocated."""
         if not (0 <= start <= start + length <= self._size and length <= MAX_CHUNK_BYTES):
             raise ValueError(f"bytes {start} to {start + length} of a file of {self._size}")
         self._file.seek(start)
         return self._file.read(length)
 
     def _summary_section(self) -> tuple[int, bytes]:
-        """Where the summary section begins, and its bytes, checked against their checksum."""
+        """Offset and bytes of the summary section, verified by its checksum."""
         if self._size < TAIL_BYTES:
             raise ValueError("truncated: too short for an MCAP file")
         tail = self._read(self._size - TAIL_BYTES, TAIL_BYTES)
@@ -120,13 +112,12 @@ class Bag:
         if opcode != Opcode.FOOTER:
             raise ValueError("no footer")
         footer = Footer.read(ReadDataStream(BytesIO(body)))
-        start, length = footer.summary_start, self._size - TAIL_BYTES - footer.summary_start
         if footer.summary_start == 0 or footer.summary_crc == 0:
             raise ValueError("no summary with a checksum: another program wrote this file")
-        summary = self._read(start, length)
+        summary = self._read(footer.summary_start, self._size - TAIL_BYTES - footer.summary_start)
         if zlib.crc32(tail[:FOOTER_CRC_AT], zlib.crc32(summary)) != footer.summary_crc:
             raise ValueError("checksum of the summary differs")
-        return start, summary
+        return footer.summary_start, summary
 
 
 def records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
@@ -141,26 +132,16 @@ def records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
         offset += length
 
 
-def _one_record(data: bytes) -> tuple[int, memoryview]:
-    """The record that ``data`` is. Raises ValueError where its length is another."""
-    found = list(records(memoryview(data)))
-    if len(found) != 1 or len(found[0][1]) + RECORD_HEAD.size != len(data):
-        raise ValueError("a record is damaged")
-    return found[0]
-
-
 def unpack(body: memoryview) -> memoryview:
-    """The records inside a chunk record. Raises ValueError for sizes that cannot be, or another
-    checksum.
-    """
+    """Decompress a chunk record. Raises ValueError for impossible sizes or a wrong checksum."""
     _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
     packed_at = CHUNK_HEAD.size + name_length + 8
     compression = bytes(body[CHUNK_HEAD.size : packed_at - 8])
+    packed_size = int.from_bytes(body[packed_at - 8 : packed_at], "little")
     packed = body[packed_at:]
-    if len(packed) != int.from_bytes(
-        body[packed_at - 8 : packed_at], "little"
-    ) or compression not in (b"", b"zstd"):
+    if len(packed) != packed_size or compression not in (b"", b"zstd"):
         raise ValueError(f"a chunk of {len(packed)} packed bytes, compression {compression!r}")
+    # zstd allocates the size in its frame's header, so that must agree with the record's first.
     if size > MAX_CHUNK_BYTES or (compression and zstandard.frame_content_size(packed) != size):
         raise ValueError(f"a chunk that claims {size} unpacked bytes")
     data = zstandard.decompress(packed) if compression else bytes(packed)
@@ -177,13 +158,20 @@ def messages(data: memoryview) -> Iterator[Message]:
             yield Message(channel_id, sequence, log_time, body[MESSAGE_HEAD.size :])
 
 
+def _one_record(data: bytes) -> tuple[int, memoryview]:
+    """The one record that fills ``data``. Raises ValueError if its length is another."""
+    found = list(records(memoryview(data)))
+    if len(found) != 1 or len(found[0][1]) + RECORD_HEAD.size != len(data):
+        raise ValueError("a record is damaged")
+    return found[0]
+
+
 def _parse_summary(data: bytes) -> Summary:
     schemas, channels, chunks, counts = {}, {}, [], {}
     stream = BytesIO(data)
     reader = StreamReader(stream, skip_magic=True).records
     while stream.tell() < len(data):
-        record = next(reader)
-        match record:
+        match record := next(reader):
             case Schema():
                 schemas[record.id] = record
             case Channel():

@@ -16,8 +16,8 @@ ENCODINGS = {"rgb8": (np.uint8, 3), "16UC1": (np.dtype("<u2"), 1), "mono8": (np.
 def episode_from(messages: Mapping[str, Sequence[memoryview]]) -> Episode:
     """An Episode from the serialized messages of its three topics, each in order.
 
-    Raises ValueError where their number or order is not what EpisodeInfo announces, or an array has
-    another length.
+    Raises ValueError if their number or order is not the one that EpisodeInfo announces, or an
+    array has another length.
     """
     infos, states, actions = (
         [decode(SCENE_TYPES[topic], data) for data in messages[topic]] for topic in STATE_TOPICS
@@ -37,18 +37,20 @@ def episode_from(messages: Mapping[str, Sequence[memoryview]]) -> Episode:
         seed=info.seed,
         bodies=bodies,
         actions_T3=np.array([action.displacement_m for action in actions]).reshape(-1, 3),
-        steps=tuple(_step(state, len(bodies), tuple(info.camera_names)) for state in states),
+        steps=tuple(_step(state, len(bodies), info.camera_names) for state in states),
         rod_rms_m=info.rod_rms_m,
     )
 
 
-def frames_from(images: Sequence[tuple[Any, Any, Any]]) -> Frames:
-    """Frames from the colour, depth and segmentation messages of each camera. Raises ValueError for
-    other images.
+def frames_from(images: Sequence[Any]) -> Frames:
+    """Frames from Image messages: colour, depth and segmentation of each camera in turn.
+
+    Raises ValueError for images of another encoding or size.
     """
-    rgb_VHW3 = np.stack([_pixels(color, "rgb8") for color, _, _ in images])
-    depth_mm_VHW = np.stack([_pixels(depth, "16UC1") for _, depth, _ in images])
-    seg_VHW = np.stack([_pixels(seg, "mono8") for _, _, seg in images])
+    rgb_VHW3, depth_mm_VHW, seg_VHW = (
+        np.stack([_pixels(image, encoding) for image in images[layer_i::3]])
+        for layer_i, encoding in enumerate(ENCODINGS)
+    )
     return Frames(rgb_VHW3, depth_mm_VHW.astype(np.float32) / np.float32(MM_PER_M), seg_VHW)
 
 
@@ -57,44 +59,39 @@ def _body(body: Any) -> Body:
     return Body(body.mesh, body.category, scale_3, body.mass_kg, body.friction, body.texture_seed)
 
 
-def _step(state: Any, num_objects: int, camera_names: tuple[str, ...]) -> Step:
-    if len(state.objects) != num_objects:
-        raise ValueError(
-            f"state {state.step_i} has {len(state.objects)} objects, the episode has {num_objects}"
-        )
+def _step(state: Any, num_objects: int, camera_names: Sequence[str]) -> Step:
     objects = state.objects
-    num_things = num_objects + 2
+    if len(objects) != num_objects:
+        counts = f"{len(objects)} objects, the episode has {num_objects}"
+        raise ValueError(f"state {state.step_i} has {counts}")
+    num_bodies = num_objects + 2
     return Step(
         t_ns=state.t_ns,
-        world_T_obj_N44=_rows([item.world_from_obj for item in objects], (num_objects, 4, 4)),
-        center_N3=_rows([item.center_m for item in objects], (num_objects, 3)),
-        size_N3=_rows([item.size_m for item in objects], (num_objects, 3)),
+        world_T_obj_N44=_stack([item.world_from_obj for item in objects], (num_objects, 4, 4)),
+        center_N3=_stack([item.center_m for item in objects], (num_objects, 3)),
+        size_N3=_stack([item.size_m for item in objects], (num_objects, 3)),
         tip_world_3=np.array(state.tip_m),
         joints_rad_J=np.array(state.joints_rad),
         world_T_link_L44=np.array(state.world_from_links).reshape(-1, 4, 4),
-        contact_AA=state.touched.reshape(num_things, num_things).astype(np.bool_),
+        contact_AA=state.touched.reshape(num_bodies, num_bodies).astype(np.bool_),
         cameras=_cameras(state, camera_names),
     )
 
 
-def _rows(arrays: list[Floats], shape: tuple[int, ...]) -> Floats:
-    return np.array(arrays, np.float64).reshape(shape)
+def _stack(arrays: list[Floats], shape: tuple[int, ...]) -> Floats:
+    return np.array(arrays, np.float64).reshape(shape)  # keeps the rank where there is no object
 
 
-def _cameras(state: Any, names: tuple[str, ...]) -> tuple[Camera, ...]:
+def _cameras(state: Any, names: Sequence[str]) -> tuple[Camera, ...]:
     K_V33 = np.array(state.intrinsics).reshape(len(names), 3, 3)
     world_T_cam_V44 = np.array(state.world_from_cams).reshape(len(names), 4, 4)
-    sizes = zip(state.widths_px.tolist(), state.heights_px.tolist(), strict=True)
-    return tuple(
-        Camera(name, K_33, world_T_cam_44, width_px, height_px)
-        for name, K_33, world_T_cam_44, (width_px, height_px) in zip(
-            names, K_V33, world_T_cam_V44, sizes, strict=True
-        )
-    )
+    widths_px, heights_px = state.widths_px.tolist(), state.heights_px.tolist()
+    fields = zip(names, K_V33, world_T_cam_V44, widths_px, heights_px, strict=True)
+    return tuple(Camera(*each) for each in fields)
 
 
 def _pixels(image: Any, encoding: str) -> NDArray[Any]:
-    """The pixels HW (or HW3) of an Image, a view of its bytes."""
+    """The pixels H W (or H W 3) of an Image message, a view of its bytes."""
     dtype, channels = ENCODINGS[encoding]
     if image.encoding != encoding or image.is_bigendian:
         raise ValueError(f"an image of encoding {image.encoding!r} where {encoding!r} is due")

@@ -1,4 +1,4 @@
-"""The one error that reading a recorded episode can raise."""
+"""The one error that reading a recorded episode raises."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,9 +11,7 @@ from zstandard import ZstdError
 
 
 class EpisodeError(Exception):
-    """A recorded episode that cannot be read: ``path`` names the file, ``reason`` what is wrong
-    with it.
-    """
+    """A recorded episode that cannot be read: ``path`` names the file, ``reason`` its defect."""
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(path, reason)
@@ -26,7 +24,7 @@ class EpisodeError(Exception):
 
 @contextmanager
 def episode_errors(path: Path) -> Iterator[None]:
-    """Turns whatever broken bytes make the parsers raise into an EpisodeError naming ``path``."""
+    """Turn every error that parsing damaged bytes can raise into an EpisodeError of ``path``."""
     try:
         yield
     except (McapError, SerdeError, ZstdError, StructError, OSError) as error:

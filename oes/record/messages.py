@@ -1,11 +1,11 @@
-"""The ROS 2 messages of an episode: standard types (Humble), four of our own, and the topics that
-carry them.
+"""The ROS 2 messages of an episode: standard types (Humble), five of our own, and their topics.
 
-``oes_msgs`` hold every number of an Episode exactly, matrices row-major in float64; ROS field names
-are lower case, so ``world_from_obj`` is ``world_T_obj``. The standard messages repeat what viewers
-draw.
+``oes_msgs`` hold every number of an Episode exactly, matrices row-major in float64. ROS field names
+are lower case, so ``world_from_obj`` is ``world_T_obj``. The standard messages repeat for viewers
+what ``oes_msgs`` hold.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+
+from oes.episode import Floats
 
 DEFINITIONS = {
     "oes_msgs/msg/Body": """
@@ -78,16 +80,14 @@ KNOWN_TYPES = {*SCENE_TYPES.values(), IMAGE_TYPE, CAMERA_INFO_TYPE}
 
 @dataclass(frozen=True)
 class Encoded:
-    """One serialized message: its topic, its stamp (ns since the epoch of the bag) and its CDR
-    bytes.
-    """
+    """One serialized message: topic, stamp (ns since the epoch of the bag) and CDR bytes."""
 
     topic: str
     stamp_ns: int
     data: memoryview
 
 
-def topics_of(camera_names: tuple[str, ...]) -> tuple[str, ...]:
+def topics_of(camera_names: Sequence[str]) -> tuple[str, ...]:
     """Every topic of an episode, in the order in which channels are numbered."""
     kinds = (*IMAGE_KINDS, *INFO_KINDS)
     return (*SCENE_TYPES, *(image_topic(name, kind) for name in camera_names for kind in kinds))
@@ -100,19 +100,20 @@ def topic_type(topic: str) -> str:
     return CAMERA_INFO_TYPE if topic.endswith("/camera_info") else IMAGE_TYPE
 
 
-def topic_counts(camera_names: tuple[str, ...], num_steps: int) -> dict[str, int]:
-    """How many messages each topic of a complete episode of ``num_steps`` states holds."""
-    return {topic: num_steps for topic in topics_of(camera_names)} | {
-        INFO: 1,
-        ACTION: num_steps - 1,
-    }
+def topic_counts(camera_names: Sequence[str], num_steps: int) -> dict[str, int]:
+    """Number of messages of each topic of a complete episode of ``num_steps`` states."""
+    counts = dict.fromkeys(topics_of(camera_names), num_steps)
+    return counts | {INFO: 1, ACTION: num_steps - 1}
 
 
 def image_topic(camera_name: str, kind: str) -> str:
-    """The topic of one kind of image or camera_info, for instance
-    ``/cam_03/depth/image_rect_raw``.
-    """
+    """The topic of a kind of image or camera_info, such as ``/cam_03/depth/image_rect_raw``."""
     return f"/{camera_name}/{kind}"
+
+
+def image_topics(camera_names: Sequence[str]) -> list[str]:
+    """The image topics of some cameras: colour, depth and segmentation of each."""
+    return [image_topic(name, kind) for name in camera_names for kind in IMAGE_KINDS]
 
 
 @cache
@@ -126,7 +127,7 @@ def typestore() -> Typestore:
 
 @cache
 def definition(typename: str) -> str:
-    """The full text of a type and of all the types it uses, as it is embedded in the file."""
+    """The full text of a type and of all the types it uses, as embedded in the file."""
     return typestore().generate_msgdef(typename, ros_version=2)[0]
 
 
@@ -141,17 +142,14 @@ def make(typename: str, **fields: Any) -> Any:
     return typestore().types[typename](**fields)
 
 
-def encode(topic: str, stamp_ns: int, typename: str, message: object) -> Encoded:
-    """Serialize a message to little-endian CDR."""
-    return Encoded(
-        topic, stamp_ns, typestore().serialize_cdr(message, typename, little_endian=True)
-    )
+def encode(topic: str, stamp_ns: int, message: object) -> Encoded:
+    """Serialize a message of the topic's type to little-endian CDR."""
+    data = typestore().serialize_cdr(message, topic_type(topic), little_endian=True)
+    return Encoded(topic, stamp_ns, data)
 
 
 def decode(typename: str, data: bytes | memoryview) -> Any:
-    """Read a message back; its arrays are views of ``data``. Raises SerdeError for bytes that do
-    not fit the type.
-    """
+    """Deserialize a message; its arrays are views of ``data``. Raises SerdeError if damaged."""
     return typestore().deserialize_cdr(data, typename)
 
 
@@ -162,7 +160,12 @@ def header(stamp_ns: int, frame_id: str) -> Any:
     return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
 
-def vector(values_3: Any, kind: str = "Vector3") -> Any:
+def flat(values: Any) -> Floats:
+    """Flat, contiguous float64."""
+    return np.ascontiguousarray(values, np.float64).reshape(-1)
+
+
+def vector(values_3: Floats, kind: str = "Vector3") -> Any:
     """A geometry_msgs Vector3 (or Point) of three numbers."""
-    x, y, z = np.asarray(values_3, np.float64).tolist()
+    x, y, z = values_3.tolist()
     return make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)

@@ -1,4 +1,4 @@
-"""metadata.yaml of a rosbag2 directory, version 8 (what Humble and every later ROS 2 reads)."""
+"""metadata.yaml of a rosbag2 folder, version 8 (readable by Humble and every later ROS 2)."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,7 @@ VERSION = 8
 
 @dataclass(frozen=True)
 class Contents:
-    """What one bag holds: the type and the number of messages of each topic, first and last stamp
-    (ns).
-    """
+    """Contents of one bag: type and number of messages by topic, first and last stamp (ns)."""
 
     types: dict[str, str]
     counts: dict[str, int]
@@ -23,7 +21,7 @@ class Contents:
 
 
 def metadata_text(bag_name: str, contents: Contents) -> str:
-    """The text of metadata.yaml for a directory whose one file is ``bag_name``."""
+    """The text of metadata.yaml for a folder whose one MCAP file is ``bag_name``."""
     span = {
         "starting_time": {"nanoseconds_since_epoch": contents.start_ns},
         "duration": {"nanoseconds": contents.end_ns - contents.start_ns},
@@ -57,9 +55,7 @@ def _topic(contents: Contents, topic: str) -> dict[str, object]:
 
 
 class _Plain(yaml.CSafeDumper):
-    """Repeats equal values instead of pointing at the first (yaml-cpp reads anchors, people do
-    not).
-    """
+    """Writes equal values out instead of as YAML aliases, which people find hard to read."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True

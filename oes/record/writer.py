@@ -1,6 +1,4 @@
-"""Episode to disk: one rosbag2 directory (metadata version 8 and one MCAP file), which appears
-whole.
-"""
+"""Episode to disk: one rosbag2 folder (metadata.yaml and one MCAP file), which appears whole."""
 
 import os
 import shutil
@@ -20,67 +18,74 @@ LIBRARY = "3d-oes"
 
 
 def write_episode(episode: Episode, frames: Iterable[Frames], folder: Path) -> None:
-    """Write ``episode`` and the images of its steps (one Frames a step, drawn one at a time) as
-    ``folder``.
+    """Write ``episode`` and the images of its steps (one Frames each, taken one at a time).
 
-    The folder is written beside its place and renamed; the same input gives the same bytes. Depth
-    is kept in whole millimetres. Raises ValueError where frames and steps do not match,
-    FileExistsError where ``folder`` exists.
+    The folder is written beside its place and renamed; equal input gives equal bytes. Depth is kept
+    in whole millimetres. Raises ValueError if frames and steps do not match, FileExistsError if
+    ``folder`` exists.
     """
     if folder.exists():
         raise FileExistsError(f"{folder} exists")
-    names = _camera_names(episode)
-    aside = folder.parent / f".{folder.name}.tmp"
-    shutil.rmtree(aside, ignore_errors=True)
-    aside.mkdir(parents=True)
+    _check(episode)
+    part = folder.parent / f".{folder.name}.tmp"
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
     try:
-        _write_bag(episode, frames, names, aside, f"{folder.name}{MCAP_SUFFIX}")
-        os.replace(aside, folder)
+        bag_name = f"{folder.name}{MCAP_SUFFIX}"
+        contents = _write_bag(episode, frames, part / bag_name)
+        text = metadata_text(bag_name, contents)
+        (part / "metadata.yaml").write_text(text, encoding="utf-8")
+        os.replace(part, folder)
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)
 
 
-def _write_bag(
-    episode: Episode, frames: Iterable[Frames], names: tuple[str, ...], aside: Path, bag_name: str
-) -> None:
-    """The two files of a rosbag2 directory: states first, then what viewers draw, then images state
-    by state.
-    """
-    with (aside / bag_name).open("wb") as file:
+def _check(episode: Episode) -> None:
+    """Raise ValueError for an episode that contradicts itself."""
+    names = tuple(camera.name for camera in episode.steps[0].cameras)
+    steps_names = {tuple(camera.name for camera in step.cameras) for step in episode.steps}
+    if len(set(names)) != len(names) or steps_names != {names}:
+        raise ValueError("every step needs the same cameras, each with a name of its own")
+    if len(episode.actions_T3) != len(episode.steps) - 1:
+        raise ValueError(f"{len(episode.actions_T3)} actions for {len(episode.steps)} states")
+    stamps_ns = [stamp_of(step) for step in episode.steps]
+    if stamps_ns != sorted(set(stamps_ns)):
+        raise ValueError("the times of the states do not rise")
+
+
+def _write_bag(episode: Episode, frames: Iterable[Frames], path: Path) -> Contents:
+    """Write the MCAP file: states first, then messages for viewers, then images state by state."""
+    topics = topics_of([camera.name for camera in episode.steps[0].cameras])
+    with path.open("wb") as file:
         writer = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
-        bag = _BagWriter(writer, {topic: topic_type(topic) for topic in topics_of(names)})
+        bag = _BagWriter(writer, {topic: topic_type(topic) for topic in topics})
         bag.add(state_messages(episode))
         bag.add(message for step in episode.steps for message in viewer_messages(step))
         for step, step_frames in zip(episode.steps, frames, strict=True):
             bag.add(image_messages(step, step_frames))
-        contents = bag.finish()
-    (aside / "metadata.yaml").write_text(metadata_text(bag_name, contents), encoding="utf-8")
+        return bag.finish()
 
 
 class _BagWriter:
-    """Channels and running numbers over one mcap Writer."""
+    """Channels and sequence numbers over one mcap Writer."""
 
     def __init__(self, writer: Writer, types: dict[str, str]) -> None:
         writer.start(profile="ros2", library=LIBRARY)
-        self._writer = writer
-        self._types = types
-        names = dict.fromkeys(types.values())
+        self._writer, self._types = writer, types
         schema_ids = {
             name: writer.register_schema(name, "ros2msg", definition(name).encode())
-            for name in names
+            for name in dict.fromkeys(types.values())
         }
-        self._channels = {
-            topic: self._register(topic, name, schema_ids[name]) for topic, name in types.items()
-        }
+        self._channels = {}
+        for topic, name in types.items():
+            metadata = {"offered_qos_profiles": "", "topic_type_hash": type_hash(name)}
+            channel_id = writer.register_channel(topic, "cdr", schema_ids[name], metadata)
+            self._channels[topic] = channel_id
         self._counts = dict.fromkeys(types, 0)
         self._stamps_ns: list[int] = []
 
-    def _register(self, topic: str, typename: str, schema_id: int) -> int:
-        metadata = {"offered_qos_profiles": "", "topic_type_hash": type_hash(typename)}
-        return self._writer.register_channel(topic, "cdr", schema_id, metadata)
-
     def add(self, messages: Iterable[Encoded]) -> None:
-        """Write messages and close the chunk, so that what is read together lies together."""
+        """Write messages and close the chunk, so that data read together are stored together."""
         for message in messages:
             self._writer.add_message(
                 self._channels[message.topic],
@@ -94,22 +99,6 @@ class _BagWriter:
         self._writer.flush()  # type: ignore[no-untyped-call]
 
     def finish(self) -> Contents:
-        """Write the summary; what the file holds."""
+        """Write the summary and return the contents of the file."""
         self._writer.finish()  # type: ignore[no-untyped-call]
         return Contents(self._types, self._counts, min(self._stamps_ns), max(self._stamps_ns))
-
-
-def _camera_names(episode: Episode) -> tuple[str, ...]:
-    """The names of the cameras. Raises ValueError where they repeat or differ between steps."""
-    names = tuple(camera.name for camera in episode.steps[0].cameras)
-    if len(set(names)) != len(names) or any(
-        tuple(c.name for c in step.cameras) != names for step in episode.steps
-    ):
-        raise ValueError("every step needs the same cameras, each with a name of its own")
-    if len(episode.actions_T3) != len(episode.steps) - 1:
-        raise ValueError(f"{len(episode.actions_T3)} actions for {len(episode.steps)} states")
-    if [stamp_of(step) for step in episode.steps] != sorted(
-        {stamp_of(step) for step in episode.steps}
-    ):
-        raise ValueError("the times of the states do not rise")
-    return names
