@@ -1,10 +1,10 @@
-"""Where bodies touch the table, a rod and each other: compiled, over all bodies of all scenes.
+"""Contact detection: the deepest or nearest point between bodies and table, rod, or each other.
 
-A touch of table or rod is seven numbers: where on the body, in its own axes from its centre of mass
-(3), the normal towards the body (3, the world's axes), and how far apart they are (metres; negative
-where they overlap; infinite for what is not near). One of two bodies, in the world's axes, is nine:
-the normal towards the first (x, y), the place from the first's centre of mass (3) and from the
-second's (3), and how far apart they are.
+A contact with table or rod is seven numbers: the point on the body (3, body axes, from its centre
+of mass), the unit normal towards the body (3, world axes) and the gap (metres; negative when
+penetrating, infinite when far away). A contact of two bodies is nine numbers in world axes: the
+normal towards the first body (x, y), the point from the first body's centre of mass (3) and from
+the second's (3), and the gap.
 """
 
 import math
@@ -13,240 +13,224 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from oes.dynamics.rigid_body.linalg import dot
 from oes.episode import Floats
 from oes.jit import jit
 
-NEAR_M = 0.01  # what is farther apart meets in no short time
-TINY_M = 1e-6
-LEAN = 1e-5  # a slope that decides between feet that are equally low
-LEAST_SLANT = 0.1
+Bools = NDArray[np.bool_]
 
-Touch = tuple[float, float, float, float, float, float, float]
+MAX_APPROACH_M = 0.01  # broad phase: bodies farther apart do not meet within a substep
+EPS_M = 1e-6
+TIE_SLOPE = 1e-5  # tilt that breaks ties between equally low support points
+MIN_COSINE = 0.1  # between a profile's normal and its radius
 
 
-class Outlines(NamedTuple):
-    """N bodies of B scenes in their own axes, for the rod and for others: radii BNK from the
-    reference point, corners BNK2 from the centre of mass; normals BNK2 of the latter; the centre of
-    mass BN2 from the reference point, how far corners reach BN; feet BNM3 and the heights between
-    which the rod's outline is reached BNK, from the centre of mass; how tall they are BN; and which
-    there are BN (of which the rod may touch).
+class Bodies(NamedTuple):
+    """Constants of N bodies of B scenes for the compiled kernels; see ``RigidBodies``.
+
+    Vertices, supports and heights are relative to the centre of mass. radius_BN bounds both
+    profiles; normal_BND2 are outward unit normals of profile_BND; friction_BN3 are coefficients
+    against table, rod and other bodies; has_rod_BN is False where the rod can touch nothing.
     """
 
-    rod_BNK: Floats
-    rod_corner_BNK2: Floats
-    whole_BNK: Floats
-    corner_BNK2: Floats
-    normal_BNK2: Floats
-    mass_BN2: Floats
-    reach_BN: Floats
-    foot_BNM3: Floats
-    rod_low_BNK: Floats
-    rod_high_BNK: Floats
-    tall_BN: Floats
-    is_there_BN: NDArray[np.bool_]
-    has_rod_BN: NDArray[np.bool_]
+    rod_profile_BND: Floats
+    rod_vertex_BND2: Floats
+    rod_min_z_BND: Floats
+    rod_max_z_BND: Floats
+    profile_BND: Floats
+    vertex_BND2: Floats
+    normal_BND2: Floats
+    com_offset_BN2: Floats
+    com_height_BN: Floats
+    radius_BN: Floats
+    height_BN: Floats
+    support_BNP3: Floats
+    inverse_inertia_BN33: Floats
+    mass_BN: Floats
+    friction_BN3: Floats
+    is_valid_BN: Bools
+    has_rod_BN: Bools
 
 
 @jit
-def foot_touches(
-    bodies: Outlines,
-    place_BN3: Floats,
-    turn_BN33: Floats,
-    side_B2: Floats,
-    is_live_BN: NDArray[np.bool_],
+def detect_table(
+    bodies: Bodies, com_BN3: Floats, rotation_BN33: Floats, side_B2: Floats, is_active_BN: Bools
 ) -> Floats:
-    """Touches BN7 of live bodies with the table: the lowest foot; of equally low ones that farthest
-    to a side. Those of others are infinitely far.
+    """Lowest support point of every active body as contacts BN7 with the table.
+
+    Among equally low points the one farthest along ``side_B2`` wins.
     """
-    touch_BN7 = np.zeros((*place_BN3.shape[:2], 7))
-    for b in range(len(place_BN3)):
-        lean_x, lean_y = LEAN * side_B2[b, 0], LEAN * side_B2[b, 1]
-        for n in range(place_BN3.shape[1]):
-            if not (is_live_BN[b, n] and bodies.is_there_BN[b, n]):
-                touch_BN7[b, n, 6] = np.inf
-                continue
-            lowest, turn_33 = np.inf, turn_BN33[b, n]
-            lean_3 = lean_x * turn_33[0] + lean_y * turn_33[1]
-            for foot_3 in bodies.foot_BNM3[b, n]:
-                height = (
-                    turn_33[2, 0] * foot_3[0]
-                    + turn_33[2, 1] * foot_3[1]
-                    + turn_33[2, 2] * foot_3[2]
-                )
-                leant = (
-                    height - lean_3[0] * foot_3[0] - lean_3[1] * foot_3[1] - lean_3[2] * foot_3[2]
-                )
-                if leant < lowest:
-                    lowest = leant
-                    touch_BN7[b, n, :3], touch_BN7[b, n, 6] = foot_3, place_BN3[b, n, 2] + height
-            touch_BN7[b, n, 5] = 1.0
-    return touch_BN7
+    contact_BN7 = np.zeros((*com_BN3.shape[:2], 7))
+    for b, n in np.ndindex(com_BN3.shape[:2]):
+        if not (is_active_BN[b, n] and bodies.is_valid_BN[b, n]):
+            contact_BN7[b, n, 6] = np.inf
+            continue
+        lowest, rotation_33 = np.inf, rotation_BN33[b, n]
+        # An upright body has all supports at one height: a tiny fictitious tilt makes the choice
+        # deterministic instead of one of rounding errors.
+        tilt_x, tilt_y = TIE_SLOPE * side_B2[b, 0], TIE_SLOPE * side_B2[b, 1]
+        tilt_3 = tilt_x * rotation_33[0] + tilt_y * rotation_33[1]
+        for support_3 in bodies.support_BNP3[b, n]:
+            z = dot(rotation_33[2], support_3)
+            tilted = z - tilt_3[0] * support_3[0] - tilt_3[1] * support_3[1]
+            tilted -= tilt_3[2] * support_3[2]
+            if tilted < lowest:
+                lowest = tilted
+                contact_BN7[b, n, :3], contact_BN7[b, n, 6] = support_3, com_BN3[b, n, 2] + z
+        contact_BN7[b, n, 5] = 1.0
+    return contact_BN7
 
 
 @jit
-def rod_touches(
-    bodies: Outlines,
-    place_BN3: Floats,
-    turn_BN33: Floats,
+def detect_rod(
+    bodies: Bodies,
+    com_BN3: Floats,
+    rotation_BN33: Floats,
     rod_B3: Floats,
     radius_m: float,
-    tip_m: float,
+    tip_height_m: float,
 ) -> Floats:
-    """Touches BN7 of every body with a round rod at ``rod_B3`` (x, y) whose tip is ``tip_m`` above
-    the table.
+    """Contacts BN7 of every body with a vertical rod whose axis stands at ``rod_B3`` (x, y)."""
+    contact_BN7 = np.zeros((*com_BN3.shape[:2], 7))
+    for b, n in np.ndindex(com_BN3.shape[:2]):
+        contact_BN7[b, n, 6] = np.inf
+        dx, dy = rod_B3[b, 0] - com_BN3[b, n, 0], rod_B3[b, 1] - com_BN3[b, n, 1]
+        limit = bodies.radius_BN[b, n] + radius_m + MAX_APPROACH_M
+        if bodies.has_rod_BN[b, n] and math.hypot(dx, dy) < limit:
+            tip = dx, dy, tip_height_m - com_BN3[b, n, 2]
+            _rod_contact(bodies, b, n, rotation_BN33[b, n], tip, radius_m, contact_BN7[b, n])
+    return contact_BN7
+
+
+@jit
+def detect_pairs(bodies: Bodies, pose_BN3: Floats, margin_m: float, is_awake_BN: Bools) -> Floats:
+    """Contacts BNN9 of every body (first) with every other, unless both are asleep.
+
+    ``pose_BN3``: x, y of the centre of mass and yaw; tilt is neglected.
     """
-    touch_BN7 = np.zeros((*place_BN3.shape[:2], 7))
-    for b in range(len(place_BN3)):
-        for n in range(place_BN3.shape[1]):
-            touch_BN7[b, n, 6] = np.inf
-            dx, dy = rod_B3[b, 0] - place_BN3[b, n, 0], rod_B3[b, 1] - place_BN3[b, n, 1]
-            if (
-                bodies.has_rod_BN[b, n]
-                and math.hypot(dx, dy) < bodies.reach_BN[b, n] + radius_m + NEAR_M
-            ):
-                low = tip_m - place_BN3[b, n, 2]
-                _rod_touch(bodies, b, n, turn_BN33[b, n], dx, dy, low, radius_m, touch_BN7[b, n])
-    return touch_BN7
+    batch, num = pose_BN3.shape[:2]
+    contact_BNN9 = np.empty((batch, num, num, 9))
+    for b, i, j in np.ndindex((batch, num, num)):
+        contact_9 = contact_BNN9[b, i, j]
+        if not (is_awake_BN[b, i] or is_awake_BN[b, j]):
+            contact_9[8] = np.inf
+            continue
+        _pair_contact(bodies, b, i, j, pose_BN3[b], contact_9)
+        # The force acts at half the height of the lower body.
+        z = min(bodies.height_BN[b, i], bodies.height_BN[b, j]) / 2
+        contact_9[4] = z - bodies.com_height_BN[b, i]
+        contact_9[7] = z - bodies.com_height_BN[b, j]
+        contact_9[8] -= margin_m
+    return contact_BNN9
 
 
 @jit
-def pair_touches(
-    bodies: Outlines,
-    pose_BN3: Floats,
-    height_BN: Floats,
-    margin_m: float,
-    is_awake_BN: NDArray[np.bool_],
-) -> Floats:
-    """Touches BNN9 of every body (first) with every other, where at least one of them is awake."""
-    num = pose_BN3.shape[1]
-    touch_BNN9 = np.empty((len(pose_BN3), num, num, 9))
-    for b in range(len(pose_BN3)):
-        for i in range(num):
-            for j in range(num):
-                if not (is_awake_BN[b, i] or is_awake_BN[b, j]):
-                    touch_BNN9[b, i, j, 8] = np.inf
-                    continue
-                x, y, own_x, own_y, its_x, its_y, gap = _pair_touch(bodies, b, i, j, pose_BN3[b])
-                z = min(bodies.tall_BN[b, i], bodies.tall_BN[b, j]) / 2
-                touch_BNN9[b, i, j, :5] = -x, -y, own_x, own_y, z - height_BN[b, i]
-                touch_BNN9[b, i, j, 5:] = its_x, its_y, z - height_BN[b, j], gap - margin_m
-    return touch_BNN9
-
-
-@jit
-def _rod_touch(
-    bodies: Outlines,
+def _rod_contact(
+    bodies: Bodies,
     b: int,
     n: int,
-    turn_33: Floats,
-    dx: float,
-    dy: float,
-    low: float,
+    rotation_33: Floats,
+    tip_3: tuple[float, float, float],
     radius_m: float,
-    touch_7: Floats,
+    contact_7: Floats,
 ) -> None:
-    """Of two places, at the lower and the upper end of where body and rod are side by side, the
-    nearer one.
+    """Nearest contact at the lower or the upper end of the overlap of rod and body in height.
 
-    The rod's axis is at (``dx``, ``dy``) from the centre of mass and begins ``low`` above it
-    (metres, world axes).
+    ``tip_3``: the rod's tip from the centre of mass, world axes. Two heights suffice, as both
+    surfaces are vertical up to a small tilt.
     """
-    corner_K2 = bodies.rod_corner_BNK2[b, n]
-    k = _nearest(
-        corner_K2, turn_33[0, 0] * dx + turn_33[1, 0] * dy, turn_33[0, 1] * dx + turn_33[1, 1] * dy
-    )[0]
-    for is_high in range(2):
-        z = bodies.rod_high_BNK[b, n, k] if is_high else max(bodies.rod_low_BNK[b, n, k], low)
-        x = turn_33[0, 0] * dx + turn_33[1, 0] * dy + turn_33[2, 0] * z
-        y = turn_33[0, 1] * dx + turn_33[1, 1] * dy + turn_33[2, 1] * z
-        _, near_x, near_y, square = _nearest(corner_K2, x, y)
-        from_x, from_y = x + bodies.mass_BN2[b, n, 0], y + bodies.mass_BN2[b, n, 1]
-        sign = (
-            -1.0
-            if math.hypot(from_x, from_y) < _radius_at(bodies.rod_BNK[b, n], from_x, from_y)
-            else 1.0
-        )
+    dx, dy, tip_z = tip_3
+    vertex_D2 = bodies.rod_vertex_BND2[b, n]
+    level_x = rotation_33[0, 0] * dx + rotation_33[1, 0] * dy
+    level_y = rotation_33[0, 1] * dx + rotation_33[1, 1] * dy
+    edge = _nearest_point(vertex_D2, level_x, level_y)[0]
+    for is_upper in range(2):
+        z = max(bodies.rod_min_z_BND[b, n, edge], tip_z)
+        if is_upper:
+            z = bodies.rod_max_z_BND[b, n, edge]
+        x, y = level_x + rotation_33[2, 0] * z, level_y + rotation_33[2, 1] * z
+        _, near_x, near_y, square = _nearest_point(vertex_D2, x, y)
+        ref_x, ref_y = x + bodies.com_offset_BN2[b, n, 0], y + bodies.com_offset_BN2[b, n, 1]
+        boundary = _radius_at(bodies.rod_profile_BND[b, n], ref_x, ref_y)
+        sign = -1.0 if math.hypot(ref_x, ref_y) < boundary else 1.0
         distance = math.sqrt(square)
         gap = sign * distance - radius_m
-        if gap < touch_7[6]:
-            scale = sign / max(distance, TINY_M)
-            in_x, in_y = (near_x - x) * scale, (near_y - y) * scale
-            touch_7[0], touch_7[1], touch_7[2], touch_7[6] = near_x, near_y, z, gap
+        if gap < contact_7[6]:
+            scale = sign / max(distance, EPS_M)
+            normal_x, normal_y = (near_x - x) * scale, (near_y - y) * scale
+            contact_7[0], contact_7[1], contact_7[2], contact_7[6] = near_x, near_y, z, gap
             for i in range(3):
-                touch_7[3 + i] = turn_33[i, 0] * in_x + turn_33[i, 1] * in_y
+                contact_7[3 + i] = rotation_33[i, 0] * normal_x + rotation_33[i, 1] * normal_y
 
 
 @jit
-def _nearest(corner_K2: Floats, x: float, y: float) -> tuple[int, float, float, float]:
-    """Of an outline: which side is nearest to a point, where on it (x, y), and the square of how
-    far.
-    """
-    least, side, near_x, near_y = np.inf, 0, 0.0, 0.0
-    for k in range(len(corner_K2)):
-        at_x, at_y = corner_K2[k, 0], corner_K2[k, 1]
-        after = 0 if k + 1 == len(corner_K2) else k + 1
-        side_x, side_y = corner_K2[after, 0] - at_x, corner_K2[after, 1] - at_y
-        along = ((x - at_x) * side_x + (y - at_y) * side_y) / max(
-            side_x * side_x + side_y * side_y, TINY_M * TINY_M
-        )
+def _nearest_point(vertex_D2: Floats, x: float, y: float) -> tuple[int, float, float, float]:
+    """Nearest point of a closed polygon: index of its edge, x, y and the squared distance."""
+    least, edge, near_x, near_y = np.inf, 0, 0.0, 0.0
+    for d in range(len(vertex_D2)):
+        start_x, start_y = vertex_D2[d, 0], vertex_D2[d, 1]
+        end = 0 if d + 1 == len(vertex_D2) else d + 1
+        edge_x, edge_y = vertex_D2[end, 0] - start_x, vertex_D2[end, 1] - start_y
+        length2 = max(edge_x * edge_x + edge_y * edge_y, EPS_M * EPS_M)
+        along = ((x - start_x) * edge_x + (y - start_y) * edge_y) / length2
         along = min(max(along, 0.0), 1.0)
-        spot_x, spot_y = at_x + along * side_x, at_y + along * side_y
-        square = (x - spot_x) ** 2 + (y - spot_y) ** 2
+        point_x, point_y = start_x + along * edge_x, start_y + along * edge_y
+        square = (x - point_x) ** 2 + (y - point_y) ** 2
         if square < least:
-            least, side, near_x, near_y = square, k, spot_x, spot_y
-    return side, near_x, near_y, least
+            least, edge, near_x, near_y = square, d, point_x, point_y
+    return edge, near_x, near_y, least
 
 
 @jit
-def _pair_touch(bodies: Outlines, b: int, i: int, j: int, pose_N3: Floats) -> Touch:
-    """Body ``i`` at that corner of it which is deepest in (or nearest to) body ``j``, with j's
-    normal there, turned to point out of i.
+def _pair_contact(
+    bodies: Bodies, b: int, i: int, j: int, pose_N3: Floats, contact_9: Floats
+) -> None:
+    """Contact at the vertex of body ``i`` that is deepest in body ``j``, along j's normal there;
+    z components are left to the caller.
     """
-    apart_x, apart_y = pose_N3[i, 0] - pose_N3[j, 0], pose_N3[i, 1] - pose_N3[j, 1]
-    is_pair = i != j and bodies.is_there_BN[b, i] and bodies.is_there_BN[b, j]
-    if (
-        not is_pair
-        or math.hypot(apart_x, apart_y) > bodies.reach_BN[b, i] + bodies.reach_BN[b, j] + NEAR_M
-    ):
-        return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf
+    contact_9[:] = 0.0
+    contact_9[0], contact_9[1], contact_9[8] = -1.0, -0.0, np.inf
+    dx, dy = pose_N3[i, 0] - pose_N3[j, 0], pose_N3[i, 1] - pose_N3[j, 1]
+    limit = bodies.radius_BN[b, i] + bodies.radius_BN[b, j] + MAX_APPROACH_M
+    is_pair = i != j and bodies.is_valid_BN[b, i] and bodies.is_valid_BN[b, j]
+    if not is_pair or math.hypot(dx, dy) > limit:
+        return
     cos_i, sin_i = math.cos(pose_N3[i, 2]), math.sin(pose_N3[i, 2])
     cos_j, sin_j = math.cos(pose_N3[j, 2]), math.sin(pose_N3[j, 2])
-    corner_K2, radius_K = bodies.corner_BNK2[b, i], bodies.whole_BNK[b, j]
-    deepest, at_x, at_y, lever_x, lever_y = -np.inf, 1.0, 0.0, 0.0, 0.0
-    for k in range(len(corner_K2)):
-        x = cos_i * corner_K2[k, 0] - sin_i * corner_K2[k, 1]
-        y = sin_i * corner_K2[k, 0] + cos_i * corner_K2[k, 1]
-        on_x, on_y = x + apart_x, y + apart_y
-        if on_x * on_x + on_y * on_y > (bodies.reach_BN[b, j] + NEAR_M) ** 2:
+    vertex_D2, profile_D = bodies.vertex_BND2[b, i], bodies.profile_BND[b, j]
+    deepest, at_x, at_y, arm_x, arm_y = -np.inf, 1.0, 0.0, 0.0, 0.0
+    for d in range(len(vertex_D2)):
+        x = cos_i * vertex_D2[d, 0] - sin_i * vertex_D2[d, 1]
+        y = sin_i * vertex_D2[d, 0] + cos_i * vertex_D2[d, 1]
+        from_x, from_y = x + dx, y + dy
+        # Cheaper than the exact test below, and rejects most vertices.
+        if from_x * from_x + from_y * from_y > (bodies.radius_BN[b, j] + MAX_APPROACH_M) ** 2:
             continue
-        own_x = cos_j * on_x + sin_j * on_y + bodies.mass_BN2[b, j, 0]
-        own_y = cos_j * on_y - sin_j * on_x + bodies.mass_BN2[b, j, 1]
-        depth = _radius_at(radius_K, own_x, own_y) - math.hypot(own_x, own_y)
+        ref_x = cos_j * from_x + sin_j * from_y + bodies.com_offset_BN2[b, j, 0]
+        ref_y = cos_j * from_y - sin_j * from_x + bodies.com_offset_BN2[b, j, 1]
+        depth = _radius_at(profile_D, ref_x, ref_y) - math.hypot(ref_x, ref_y)
         if depth > deepest:
-            deepest, at_x, at_y, lever_x, lever_y = depth, own_x, own_y, x, y
+            deepest, at_x, at_y, arm_x, arm_y = depth, ref_x, ref_y, x, y
     if deepest == -np.inf:
-        return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf
-    count = len(radius_K)
-    normal_2 = bodies.normal_BNK2[
-        b, j, int(np.rint(math.atan2(at_y, at_x) * (count / (2 * math.pi)))) % count
-    ]
-    slant = (normal_2[0] * at_x + normal_2[1] * at_y) / max(math.hypot(at_x, at_y), TINY_M)
-    out_x, out_y = (
-        -(cos_j * normal_2[0] - sin_j * normal_2[1]),
-        -(sin_j * normal_2[0] + cos_j * normal_2[1]),
-    )
-    gap = -deepest * max(slant, LEAST_SLANT)
-    return out_x, out_y, lever_x, lever_y, lever_x + apart_x, lever_y + apart_y, gap
+        return
+    count = len(profile_D)
+    direction = int(np.rint(math.atan2(at_y, at_x) * (count / (2 * math.pi)))) % count
+    normal_2 = bodies.normal_BND2[b, j, direction]
+    # Depth is radial; its component along the normal is the distance to the surface.
+    cosine = (normal_2[0] * at_x + normal_2[1] * at_y) / max(math.hypot(at_x, at_y), EPS_M)
+    contact_9[0] = cos_j * normal_2[0] - sin_j * normal_2[1]
+    contact_9[1] = sin_j * normal_2[0] + cos_j * normal_2[1]
+    contact_9[2], contact_9[3], contact_9[5], contact_9[6] = arm_x, arm_y, arm_x + dx, arm_y + dy
+    contact_9[8] = -deepest * max(cosine, MIN_COSINE)
 
 
 @jit
-def _radius_at(radius_K: Floats, x: float, y: float) -> float:
-    """As ``oes.geom.polar.radius_at``, of one outline towards one point."""
-    count = len(radius_K)
-    place = math.atan2(y, x) * (count / (2 * math.pi))
-    below = math.floor(place)
+def _radius_at(profile_D: Floats, x: float, y: float) -> float:
+    """Radius of a profile towards (x, y); as ``oes.geom.polar.radius_at`` for one point."""
+    count = len(profile_D)
+    position = math.atan2(y, x) * (count / (2 * math.pi))
+    below = math.floor(position)
     first = int(below) % count
-    found: float = radius_K[first] + (place - below) * (
-        radius_K[(first + 1) % count] - radius_K[first]
-    )
+    step = profile_D[(first + 1) % count] - profile_D[first]
+    found: float = profile_D[first] + (position - below) * step
     return found

@@ -1,0 +1,149 @@
+"""One action of the rod on rigid bodies: from torch tensors to the compiled kernels and back."""
+
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from oes.dynamics.rigid_body.bodies import ContactPhysics, PlanarState, RigidBodies
+from oes.dynamics.rigid_body.contact_detection import Bodies, detect_table
+from oes.dynamics.rigid_body.contact_manifold import empty_manifold, update_manifold
+from oes.dynamics.rigid_body.substeps import State, StepSettings, advance_substeps
+from oes.episode import Floats
+from oes.geom.polar import corners, normals
+from oes.objects import map_tensors
+
+BREAKING = 0.02  # breaking distance of a contact over the bounding radius, as in Bullet
+ROD_RADIUS_M = 0.075  # bounding radius of the rod
+MIN_SPEED_M_S = 1e-6
+MIN_SCENES = 16  # per thread
+PLANAR = [0, 1, 5]  # components of a 6D twist that lie in the plane
+
+
+def simulate_push(
+    bodies: RigidBodies, state: PlanarState, tip_B2: Tensor, action_B2: Tensor, cfg: ContactPhysics
+) -> PlanarState:
+    """State after the rod's tip has moved from ``tip_B2`` by ``action_B2`` (metres) in
+    ``cfg.step_s``. No gradient flows through it.
+
+    Scenes are divided among torch's threads; their number does not change the result.
+    """
+    count = max(1, min(torch.get_num_threads(), len(tip_B2) // MIN_SCENES))
+    bounds = [len(tip_B2) * i // count for i in range(count + 1)]
+    # Gauss-Seidel depends on the order of contacts. Sorting objects along the push makes the result
+    # independent of the order in which they are listed.
+    ahead_BN = (state.com_BN2 * action_B2[:, None]).sum(-1)
+    ahead_BN = ahead_BN.masked_fill(~bodies.valid_BN, torch.inf)
+    order_BN = ahead_BN.argsort(dim=-1, stable=True)
+    back_BN, scene_B1 = order_BN.argsort(-1), torch.arange(len(order_BN))[:, None]
+    bodies, state = (map_tensors(x, lambda t: t[scene_B1, order_BN]) for x in (bodies, state))
+
+    def run(start: int, end: int) -> PlanarState:
+        part = [map_tensors(x, lambda t: t[start:end]) for x in (bodies, state)]
+        return _simulate(*part, tip_B2[start:end], action_B2[start:end], cfg)
+
+    with ThreadPoolExecutor(count) as pool:
+        first, *others = pool.map(lambda ends: run(*ends), pairwise(bounds))
+    after = map_tensors(first, lambda *parts: torch.cat(parts), *others)
+    return map_tensors(after, lambda t: t[scene_B1, back_BN])
+
+
+def _simulate(
+    bodies: RigidBodies, start: PlanarState, tip_B2: Tensor, action_B2: Tensor, cfg: ContactPhysics
+) -> PlanarState:
+    """As ``simulate_push``, in one thread."""
+    compiled, state = compile_bodies(bodies, cfg), _upright_state(bodies, start, tip_B2)
+    planar_BN3 = _advance(compiled, state, _array(action_B2) / cfg.step_s, cfg)
+    com_BN2, yaw_BN, twist_BN3 = (
+        torch.from_numpy(x).to(start.com_BN2)
+        for x in (planar_BN3[..., :2], planar_BN3[..., 2], state.twist_BN6[..., PLANAR])
+    )
+    # Unwrap: the yaw continues from the start, beyond +-pi.
+    turn_BN = torch.remainder(yaw_BN - start.yaw_BN + torch.pi, 2 * torch.pi)
+    yaw_BN = start.yaw_BN + turn_BN - torch.pi
+    return PlanarState(
+        torch.where(bodies.valid_BN[..., None], com_BN2, start.com_BN2),
+        torch.where(bodies.valid_BN, yaw_BN, start.yaw_BN),
+        twist_BN3 * bodies.valid_BN[..., None],
+    )
+
+
+def _advance(bodies: Bodies, state: State, rod_velocity_B2: Floats, cfg: ContactPhysics) -> Floats:
+    """Advance ``state`` by one action; planar poses BN3 (x, y, yaw)."""
+    batch, num = bodies.is_valid_BN.shape
+    table, rod = empty_manifold(batch, num), empty_manifold(batch, num)
+    breaking_BN = BREAKING * np.hypot(bodies.radius_BN, bodies.height_BN / 2)
+    rod_breaking_BN = np.minimum(breaking_BN, BREAKING * ROD_RADIUS_M)
+    speed_B1 = np.hypot(rod_velocity_B2[:, :1], rod_velocity_B2[:, 1:])
+    forward_B2 = rod_velocity_B2 / np.maximum(speed_B1, MIN_SPEED_M_S)
+    left_B2 = np.stack([-forward_B2[:, 1], forward_B2[:, 0]], 1)
+    # At rest a body stands on four support points; detection finds one per side.
+    pose, table_B3 = (state.com_BN3, state.rotation_BN33), np.zeros((batch, 3))
+    for side_B2 in (forward_B2, -forward_B2, left_B2, -left_B2):
+        contact_BN7 = detect_table(bodies, *pose, side_B2, bodies.is_valid_BN)
+        update_manifold(table, contact_BN7, *pose, table_B3, breaking_BN)
+    settings = StepSettings(
+        dt=cfg.step_s / cfg.substeps,
+        substeps=cfg.substeps,
+        iterations=cfg.solver_iterations,
+        spinning_m=cfg.spinning_friction_m,
+        rod_radius_m=cfg.rod_radius_m + cfg.contact_margin_m,
+        tip_height_m=cfg.tip_height_m,
+        margin_m=cfg.contact_margin_m,
+    )
+    breaking = breaking_BN, rod_breaking_BN
+    return advance_substeps(
+        bodies, (table, rod), breaking, state, rod_velocity_B2, forward_B2, settings
+    )
+
+
+def _upright_state(bodies: RigidBodies, start: PlanarState, tip_B2: Tensor) -> State:
+    """Bodies upright on the table; those without velocity are asleep."""
+    com_BN3 = _array(torch.cat([start.com_BN2, bodies.com_height_BN[..., None]], -1))
+    yaw_BN = _array(start.yaw_BN)
+    rotation_BN33, twist_BN6 = np.zeros((*yaw_BN.shape, 3, 3)), np.zeros((*yaw_BN.shape, 6))
+    rotation_BN33[..., 0, 0] = rotation_BN33[..., 1, 1] = np.cos(yaw_BN)
+    rotation_BN33[..., 1, 0], rotation_BN33[..., 0, 1] = np.sin(yaw_BN), -np.sin(yaw_BN)
+    rotation_BN33[..., 2, 2] = 1
+    twist_BN6[..., PLANAR] = _array(start.twist_BN3)
+    rod_B3 = np.concatenate([_array(tip_B2), np.zeros((len(tip_B2), 1))], 1)
+    return State(com_BN3, rotation_BN33, twist_BN6, (twist_BN6 != 0).any(-1), rod_B3)
+
+
+def compile_bodies(bodies: RigidBodies, cfg: ContactPhysics) -> Bodies:
+    """Bodies as arrays for the kernels, with everything that follows from their profiles."""
+    rod_vertex_BND2, vertex_BND2 = (
+        corners(profile) - bodies.com_offset_BN2[..., None, :]
+        for profile in (bodies.rod_profile_BND, bodies.profile_BND)
+    )
+    radius_BND = torch.maximum(rod_vertex_BND2.norm(dim=-1), vertex_BND2.norm(dim=-1))
+    support_z_BN11 = -bodies.com_height_BN[..., None, None]
+    support_z_BNP1 = support_z_BN11.expand(*bodies.support_BNP2.shape[:-1], 1)
+    friction_3 = np.array([cfg.table_friction, cfg.rod_friction, cfg.object_friction])
+    has_rod_BN = bodies.valid_BN & (bodies.rod_profile_BND > 0).any(-1)
+    return Bodies(
+        rod_profile_BND=_array(bodies.rod_profile_BND),
+        rod_vertex_BND2=_array(rod_vertex_BND2),
+        rod_min_z_BND=_array(bodies.rod_min_z_BND),
+        rod_max_z_BND=_array(bodies.rod_max_z_BND),
+        profile_BND=_array(bodies.profile_BND),
+        vertex_BND2=_array(vertex_BND2),
+        normal_BND2=_array(normals(bodies.profile_BND)),
+        com_offset_BN2=_array(bodies.com_offset_BN2),
+        com_height_BN=_array(bodies.com_height_BN),
+        radius_BN=_array(radius_BND.amax(-1)),
+        height_BN=_array(bodies.height_BN),
+        support_BNP3=_array(torch.cat([bodies.support_BNP2, support_z_BNP1], -1)),
+        inverse_inertia_BN33=_array(bodies.inverse_inertia_BN33),
+        mass_BN=_array(bodies.mass_factor_BN),
+        friction_BN3=_array(bodies.friction_factor_BN)[..., None] * friction_3,
+        is_valid_BN=bodies.valid_BN.cpu().numpy().copy(),
+        has_rod_BN=has_rod_BN.cpu().numpy(),
+    )
+
+
+def _array(x: Tensor) -> Floats:
+    """A double-precision copy, which kernels may change."""
+    return x.double().cpu().contiguous().numpy().copy()

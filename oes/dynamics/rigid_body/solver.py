@@ -1,0 +1,150 @@
+"""Sequential impulses: projected Gauss-Seidel over the contacts of a scene."""
+
+import math
+
+import numpy as np
+
+from oes.dynamics.rigid_body.constraints import (
+    FRICTION,
+    GAP,
+    INV_MASS,
+    STATIC,
+    ContactRows,
+    add_pair_contacts,
+    add_static_contacts,
+    allocate_rows,
+    prepare_rows,
+    world_inverse_inertia,
+)
+from oes.dynamics.rigid_body.contact_detection import Bodies, Bools
+from oes.dynamics.rigid_body.contact_manifold import Manifold
+from oes.episode import Floats
+from oes.jit import jit
+
+ERP = 0.08  # share of a penetration corrected per substep (Baumgarte), PyBullet's default
+
+
+@jit
+def solve_contacts(
+    bodies: Bodies,
+    manifolds: tuple[Manifold, Manifold],
+    pair_BNN9: Floats,
+    rotation_BN33: Floats,
+    rod_velocity_B2: Floats,
+    settings: tuple[float, float, int],
+    is_active_BN: Bools,
+    twist_BN6: Floats,
+) -> None:
+    """Change ``twist_BN6`` (linear, angular) so that no contact of an active body closes further
+    than its gap within a substep, and sliding obeys the friction cone.
+
+    ``manifolds``: with table and rod; ``settings``: spinning friction (metres), the substep
+    (seconds) and the number of iterations.
+    """
+    (table, rod), (spinning_m, dt, iterations) = manifolds, settings
+    num = twist_BN6.shape[1]
+    rows = allocate_rows(num)
+    inverse_N33, zero_2 = np.empty((num, 3, 3)), np.zeros(2)
+    impulse_P4 = np.empty((len(rows.body_P2), 4))
+    for b in range(len(twist_BN6)):
+        count = 0
+        for n in range(num):
+            if not is_active_BN[b, n]:
+                continue
+            R_33, friction_3 = rotation_BN33[b, n], bodies.friction_BN3[b, n]
+            inverse_33, mass = bodies.inverse_inertia_BN33[b, n], bodies.mass_BN[b, n]
+            world_inverse_inertia(R_33, inverse_33, mass, inverse_N33[n])
+            count = add_static_contacts(rows, count, table, b, n, R_33, friction_3[0], zero_2)
+            velocity_2 = rod_velocity_B2[b]
+            count = add_static_contacts(rows, count, rod, b, n, R_33, friction_3[1], velocity_2)
+            count = add_pair_contacts(rows, count, n, pair_BNN9[b, n], friction_3[2])
+        for p in range(count):
+            prepare_rows(rows, p, inverse_N33, bodies.mass_BN[b])
+        # No warm starting: impulses accumulate from zero in every substep.
+        impulse_P4[:count] = 0
+        for _ in range(iterations):
+            # All normals before all frictions, as friction is bounded by the normal impulses.
+            for p in range(count):
+                _solve_normal(rows, p, dt, impulse_P4, twist_BN6[b])
+            for p in range(count):
+                _solve_friction(rows, p, impulse_P4, twist_BN6[b])
+                if rows.body_P2[p, 1] == STATIC:
+                    _solve_spinning(rows, p, spinning_m, impulse_P4, twist_BN6[b])
+
+
+@jit
+def _solve_normal(
+    rows: ContactRows, p: int, dt: float, impulse_P4: Floats, twist_N6: Floats
+) -> None:
+    gap, old = rows.scalar_P4[p, GAP], impulse_P4[p, 0]
+    # An open gap may close within the substep; a penetration is corrected by ERP only, as full
+    # correction would add energy.
+    target = -gap / dt if gap > 0 else -ERP * gap / dt
+    change = (target - _velocity(rows, p, 0, twist_N6)) / rows.inv_effective_mass_P3[p, 0]
+    new = max(old + change, 0.0)  # contacts push, they never pull
+    if new != old:
+        _apply(rows, p, 0, new - old, twist_N6)
+        impulse_P4[p, 0] = new
+
+
+@jit
+def _solve_friction(rows: ContactRows, p: int, impulse_P4: Floats, twist_N6: Floats) -> None:
+    first = impulse_P4[p, 1] - _velocity(rows, p, 1, twist_N6) / rows.inv_effective_mass_P3[p, 1]
+    second = impulse_P4[p, 2] - _velocity(rows, p, 2, twist_N6) / rows.inv_effective_mass_P3[p, 2]
+    # Both tangents together: the friction cone's section is a disc, not a square.
+    limit = rows.scalar_P4[p, FRICTION] * impulse_P4[p, 0]
+    length = math.sqrt(first * first + second * second)
+    if length > limit:
+        first, second = first * limit / length, second * limit / length
+    if first != impulse_P4[p, 1] or second != impulse_P4[p, 2]:
+        _apply(rows, p, 1, first - impulse_P4[p, 1], twist_N6)
+        _apply(rows, p, 2, second - impulse_P4[p, 2], twist_N6)
+        impulse_P4[p, 1], impulse_P4[p, 2] = first, second
+
+
+@jit
+def _solve_spinning(
+    rows: ContactRows, p: int, spinning_m: float, impulse_P4: Floats, twist_N6: Floats
+) -> None:
+    """Friction torque about the normal: a contact is a patch, not a point."""
+    n, old, limit = rows.body_P2[p, 0], impulse_P4[p, 3], spinning_m * impulse_P4[p, 0]
+    rate = 0.0
+    for i in range(3):
+        rate += twist_N6[n, 3 + i] * rows.axis_P33[p, 0, i]
+    new = min(max(old - rate / rows.spin_P4[p, 3], -limit), limit)
+    for i in range(3):
+        twist_N6[n, 3 + i] += (new - old) * rows.spin_P4[p, i]
+    impulse_P4[p, 3] = new
+
+
+# The two innermost kernels index whole arrays: a view per call would cost a fifth of the solver.
+
+
+@jit
+def _velocity(rows: ContactRows, p: int, k: int, twist_N6: Floats) -> float:
+    """Relative velocity of the first body at the contact along row ``k``."""
+    axis_P33, angular_P233 = rows.axis_P33, rows.angular_P233
+    n, other = rows.body_P2[p, 0], rows.body_P2[p, 1]
+    found: float = -rows.velocity_P2[p, 0] * axis_P33[p, k, 0]
+    found -= rows.velocity_P2[p, 1] * axis_P33[p, k, 1]
+    for i in range(3):
+        linear = twist_N6[n, i] * axis_P33[p, k, i]
+        found += linear + twist_N6[n, 3 + i] * angular_P233[p, 0, k, i]
+    if other != STATIC:
+        for i in range(3):
+            found -= twist_N6[other, i] * axis_P33[p, k, i]
+            found -= twist_N6[other, 3 + i] * angular_P233[p, 1, k, i]
+    return found
+
+
+@jit
+def _apply(rows: ContactRows, p: int, k: int, impulse: float, twist_N6: Floats) -> None:
+    """Apply an impulse along row ``k`` to the first body and its opposite to the second."""
+    n, other = rows.body_P2[p, 0], rows.body_P2[p, 1]
+    for i in range(3):
+        twist_N6[n, i] += impulse * rows.scalar_P4[p, INV_MASS] * rows.axis_P33[p, k, i]
+        twist_N6[n, 3 + i] += impulse * rows.response_P233[p, 0, k, i]
+    if other != STATIC:
+        for i in range(3):
+            twist_N6[other, i] -= impulse * rows.scalar_P4[p, INV_MASS + 1] * rows.axis_P33[p, k, i]
+            twist_N6[other, 3 + i] -= impulse * rows.response_P233[p, 1, k, i]
