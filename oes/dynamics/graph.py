@@ -139,11 +139,14 @@ class GraphNet(nn.Module):
         is_edge_BNN1 = valid_pairs(state.valid_BN)[..., None]
         hidden_BNC = node_BNC
         for edge, update in zip(self.edges, self.nodes, strict=True):
-            ends_BNNC = hidden_BNC[:, :, None].expand(*edge_BNNC.shape[:-1], -1)
-            inputs_BNNC = torch.cat([ends_BNNC, ends_BNNC.transpose(1, 2), edge_BNNC], -1)
-            messages_BNC = (edge(inputs_BNNC) * is_edge_BNN1).sum(2)
+            pairs = (*edge_BNNC.shape[:-1], -1)
+            receiver, sender = (
+                hidden_BNC[:, :, None].expand(pairs),
+                hidden_BNC[:, None].expand(pairs),
+            )
+            messages_BNNC = edge(torch.cat([receiver, sender, edge_BNNC], -1)) * is_edge_BNN1
             # Every round sees the input of the node again, so that messages cannot displace it.
-            hidden_BNC = update(torch.cat([node_BNC, agent_BNC, messages_BNC], -1))
+            hidden_BNC = update(torch.cat([node_BNC, agent_BNC, messages_BNNC.sum(2)], -1))
         out_BN23 = self.head(hidden_BNC).unflatten(-1, (2, 3)) @ axes_B133.mT
         return StepMotion(out_BN23[..., 0, :] * self.unit_m, out_BN23[..., 1, :])
 
