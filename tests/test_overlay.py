@@ -9,7 +9,8 @@ from PIL import Image
 
 from oes.episode import Camera
 from oes.geom.camera import intrinsics, look_at
-from oes.viz.overlay import GOAL, SEEN, CameraOverlay, write_gif, write_video
+from oes.viz.overlay import GOAL, PERCEIVED, CameraOverlay
+from oes.viz.video import write_gif, write_video
 
 CAMERA = Camera(
     "cam", intrinsics(42.0, 64, 64), look_at(np.array([0.9, 0.0, 0.5]), np.zeros(3)), 64, 64
@@ -30,9 +31,9 @@ def test_shapes_are_drawn_where_they_project() -> None:
         ((0, 0, 0.2), (32, 16.3)),
     ):
         image = CameraOverlay(BLACK, CAMERA, 4)
-        image.box(np.array(move, float), np.full(3, 0.05), SEEN)
+        image.box(np.array(move, float), np.full(3, 0.05), PERCEIVED)
         assert _drawn(image) == pytest.approx(place, abs=1.5)
-        assert tuple(image.pixels.reshape(-1, 3).max(axis=0)) == SEEN
+        assert tuple(image.pixels.reshape(-1, 3).max(axis=0)) == PERCEIVED
     ring = CameraOverlay(BLACK, CAMERA, 4)
     ring.ring(np.zeros(3), 0.1, GOAL)
     assert _drawn(ring) == pytest.approx((32, 32), abs=1.5)
@@ -41,7 +42,7 @@ def test_shapes_are_drawn_where_they_project() -> None:
 
 def test_shapes_behind_the_camera_are_not_drawn() -> None:
     image = CameraOverlay(BLACK, CAMERA, 2)
-    image.box(np.array([2.0, 0.0, 0.8]), np.full(3, 0.05), SEEN)
+    image.box(np.array([2.0, 0.0, 0.8]), np.full(3, 0.05), PERCEIVED)
     assert not image.pixels.any()
 
 

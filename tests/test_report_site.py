@@ -14,7 +14,7 @@ from PIL import Image
 
 from oes.report.site import Fact, write_site
 from oes.report.table import Table
-from oes.viz.overlay import write_video
+from oes.viz.video import write_video
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 # Waits for every picture and film, then sends what it found to where the page came from.

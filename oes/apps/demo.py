@@ -34,7 +34,8 @@ from oes.trials.runner import (
 from oes.trials.task import Task, TrialScenario, draw_task, generator
 from oes.trials.trial_video import observed_image
 from oes.trials.world_models import load_world_model
-from oes.viz.overlay import GOAL, IMAGINED, PUSH, CameraOverlay, write_video
+from oes.viz.overlay import FORECAST, GOAL, PUSH, CameraOverlay
+from oes.viz.video import write_video
 
 log = logging.getLogger(__name__)
 
@@ -140,7 +141,7 @@ def _draw_forecast(
     for start, end, size in zip(
         center_N3, chosen.position_TN3[0].double().numpy(), size_N3, strict=True
     ):
-        picture.box(start + share * (end - start), size, IMAGINED)
+        picture.box(start + share * (end - start), size, FORECAST)
 
 
 class SteppedPushWorld:

@@ -18,7 +18,8 @@ from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
 from oes.render.scene import mesh_poses
 from oes.sim.world import SimConfig
-from oes.viz.overlay import PUSH, CameraOverlay, Pixels, sheet, write_video
+from oes.viz.overlay import PUSH, CameraOverlay, Pixels
+from oes.viz.video import sheet, write_video
 
 ROD_M = 0.12  # how much of the rod is drawn
 PICTURES_PER_S, HOLD = 3, 4  # states a second in films, and how many pictures the last one stays

@@ -12,7 +12,8 @@ from PIL import Image
 
 from oes.report.names import BASELINE, MODELS, OURS
 from oes.report.rows import RowsError
-from oes.viz.overlay import INK, Pixels, write_gif, write_video
+from oes.viz.overlay import INK, Pixels
+from oes.viz.video import write_gif, write_video
 
 SHOWN = (OURS, BASELINE)
 PICTURES_PER_S, HOLD_S = 5, 2

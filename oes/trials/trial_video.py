@@ -10,7 +10,8 @@ from oes.config import params
 from oes.episode import Floats
 from oes.mpc.search import Plan
 from oes.trials.loop import StepRecord, TrialResult
-from oes.viz.overlay import GOAL, IMAGINED, PUSH, SEEN, CameraOverlay, write_gif, write_video
+from oes.viz.overlay import FORECAST, GOAL, PERCEIVED, PUSH, CameraOverlay
+from oes.viz.video import write_gif, write_video
 
 UNDETECTED = (150, 150, 150)  # colour of boxes without a detection
 
@@ -73,7 +74,7 @@ def observed_image(
         image.line(np.stack([center_3 * [1, 1, 0], on_table_3]), GOAL)
     boxes = zip(estimate.center_N3, estimate.size_N3, estimate.is_detected_N, strict=True)
     for center_3, size_3, is_detected in boxes:
-        image.box(center_3, size_3, SEEN if is_detected else UNDETECTED)
+        image.box(center_3, size_3, PERCEIVED if is_detected else UNDETECTED)
     return image
 
 
@@ -86,5 +87,5 @@ def _draw_plan(image: CameraOverlay, record: StepRecord, plan: Plan, num_goals: 
     for object_i in range(num_goals):
         start_13 = record.estimate.center_N3[None, object_i]
         path_I3 = np.concatenate([start_13, position_TN3[:, object_i]])
-        image.line(path_I3, IMAGINED)
-        image.box(path_I3[-1], record.estimate.size_N3[object_i], IMAGINED)
+        image.line(path_I3, FORECAST)
+        image.box(path_I3[-1], record.estimate.size_N3[object_i], FORECAST)

@@ -1,1 +1,4 @@
-"""Overlays on camera images, and video files."""
+"""Overlays on camera images (``overlay``) and video files (``video``).
+
+It may import ``geom``, ``episode`` and libraries.
+"""

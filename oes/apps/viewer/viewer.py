@@ -16,7 +16,7 @@ from oes.meshes.catalogue import Catalogue
 from oes.sim.arm import ReachError
 from oes.sim.client import BulletError
 from oes.sim.world import SimConfig
-from oes.viz.overlay import GOAL, IMAGINED, PUSH, SEEN, Colour
+from oes.viz.overlay import FORECAST, GOAL, PERCEIVED, PUSH, Colour
 
 POINT_M, ROD_M, HANDLE_M = 0.006, 0.15, 0.09
 PLAY_S = 0.5
@@ -74,12 +74,12 @@ class Viewer:
         for i, (center, size) in enumerate(
             zip(objects.center_N3.numpy(), objects.size_N3.numpy(), strict=True)
         ):
-            self._wire(f"/perceived/{i}", size, SEEN, center)
+            self._wire(f"/perceived/{i}", size, PERCEIVED, center)
             self.moving.append(scene.add_frame(f"/forecast/{i}", show_axes=False, position=center))
             scene.add_point_cloud(
                 f"/forecast/{i}/points", *session.object_points(i), point_size=POINT_M
             )
-            self._wire(f"/forecast/{i}/box", size, IMAGINED, np.zeros(3))
+            self._wire(f"/forecast/{i}/box", size, FORECAST, np.zeros(3))
         first = session.first.episode.steps[0]
         self.true = [
             self._wire(f"/truth/{i}", size, GOAL, place)
