@@ -10,13 +10,13 @@ import torch
 from oes.cli import run
 from oes.csv_io import write_csv
 from oes.meshes.catalogue import TRAIN, load_catalogue
-from oes.perception.evaluate import DETECTION_COLUMNS, VIEW_COLUMNS
 from oes.perception.gt_profiles import GroundTruthProfiles
 from oes.perception.objects_file import write_objects
 from oes.perception.observations import ObjectsConfig, ScenePerceiver, perceive_split
 from oes.perception.perceiver import Perceiver
 from oes.perception.solids import solids_of
 from oes.record.dataset import FrameSource
+from oes.schema import DETECTIONS, VIEWS
 from oes.stage import publish, work_dir
 
 
@@ -48,8 +48,8 @@ def main(
         write_objects(work / "objects.safetensors", tensors, list(observer.settings))
         if not is_train:
             for name, columns, rows in (
-                ("detections", DETECTION_COLUMNS, detections),
-                ("views", VIEW_COLUMNS, views),
+                ("detections", DETECTIONS, detections),
+                ("views", VIEWS, views),
             ):
                 write_csv(work / f"{name}.csv", rows, columns)
         shutil.rmtree(progress)

@@ -5,8 +5,9 @@ from pathlib import Path
 
 from oes.cli import run
 from oes.csv_io import write_csv
+from oes.schema import TRIALS
 from oes.stage import publish, work_dir
-from oes.trials.results import TRIAL_COLUMNS, trial_rows, write_videos
+from oes.trials.results import trial_rows, write_videos
 from oes.trials.runner import TrialInputs, TrialsConfig, run_trials
 
 
@@ -26,7 +27,7 @@ def main(
         trials = run_trials(cfg, scenario, inputs, progress)
         videos = write_videos(trials, own, cfg.video, cfg.num_videos, work)
         rows = trial_rows(trials, scenario, model, own, videos)
-        write_csv(work / "trials.csv", rows, TRIAL_COLUMNS)
+        write_csv(work / "trials.csv", rows, TRIALS)
         shutil.rmtree(progress)
         publish(work, out)
 

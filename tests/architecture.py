@@ -19,9 +19,10 @@ from oes.stage import imports, reached
 
 # From the bottom up: a module or package of oes may import only those before it.
 ORDER = (
-    "config", "jit", "episode", "geom", "objects", "csv_io", "progress", "cli", "stage", "metrics", "training", "viz", "report",
-    "meshes", "sim", "render", "record", "episodes", "perception", "dynamics", "baselines", "mpc", "evaluation",
-    "counterfactual", "trials", "apps",
+    "config", "schema", "jit", "episode", "geom", "objects", "csv_io", "progress", "cli", "stage",
+    "metrics", "training", "viz", "report", "meshes", "sim", "render", "record", "episodes",
+    "perception", "dynamics", "baselines", "mpc", "evaluation", "counterfactual", "trials",
+    "apps",
 )  # fmt: skip
 
 # Libraries that only some packages may import.
@@ -238,12 +239,12 @@ def expand(paths: list[str], stage: dict[str, Any]) -> set[str]:
     product = [
         dict(zip(matrix, values, strict=True)) for values in itertools.product(*matrix.values())
     ]
-    done = set()
-    for item in stage.get("foreach", {}).values() or product:
-        done |= {
-            re.sub(r"\$\{item\.(\w+)\}", lambda found: str(item[found[1]]), path) for path in paths
-        }  # noqa: B023
-    return done
+    items = list(stage.get("foreach", {}).values()) or product
+    return {_filled(path, item) for path in paths for item in items}
+
+
+def _filled(path: str, item: dict[str, Any]) -> str:
+    return re.sub(r"\$\{item\.(\w+)\}", lambda match: str(item[match[1]]), path)
 
 
 def main_flags(path: Path) -> dict[str, str]:

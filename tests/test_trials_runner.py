@@ -9,9 +9,10 @@ import pytest
 
 from oes.config import load
 from oes.csv_io import write_csv
-from oes.report.rows import TRIALS, read_columns
+from oes.report.rows import read_columns
+from oes.schema import TRIALS
 from oes.sim.pushing import PushWorld
-from oes.trials.results import TRIAL_COLUMNS, Trial, trial_rows, write_videos
+from oes.trials.results import Trial, trial_rows, write_videos
 from oes.trials.runner import ScenarioError, TrialInputs, TrialsConfig, run_trials
 from tests.blocks import SMOKE, make_catalogue, make_weights
 
@@ -47,9 +48,7 @@ def test_rows_and_videos_of_a_run(cfg: TrialsConfig, found: list[Trial], tmp_pat
     targets = cfg.scenarios["targets"]
     videos = write_videos(found, targets, cfg.video, cfg.num_videos, tmp_path)
     write_csv(
-        tmp_path / "trials.csv",
-        trial_rows(found, "targets", "graph_xyz", targets, videos),
-        TRIAL_COLUMNS,
+        tmp_path / "trials.csv", trial_rows(found, "targets", "graph_xyz", targets, videos), TRIALS
     )
     rows = read_columns([tmp_path / "trials.csv"], TRIALS)
     assert (
@@ -114,9 +113,7 @@ def test_a_trial_without_a_task_is_a_row_with_its_reason(
     impossible = replace(cfg, num_trials=1, scenarios={"targets": targets})
     trials = run_trials(impossible, "targets", inputs, tmp_path / "progress")
     assert write_videos(trials, targets, cfg.video, cfg.num_videos, tmp_path) == {}
-    write_csv(
-        tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), TRIAL_COLUMNS
-    )
+    write_csv(tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), TRIALS)
     with (tmp_path / "trials.csv").open() as file:
         (row, _) = csv.DictReader(file)
     assert (

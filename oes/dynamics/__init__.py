@@ -6,6 +6,7 @@ the renderer. Start with ``unroll`` (the interface of all models), then ``graph`
 
 from torch import nn
 
+from oes import schema
 from oes.dynamics.contact import Contact
 from oes.dynamics.models import OES, GraphXYZ, GraphXYZImage, GraphXYZImageFixed
 from oes.dynamics.reference_models import Simulator, Static
@@ -20,7 +21,5 @@ MODELS: dict[str, type[nn.Module]] = {
     "graph_xyz_image_fixed": GraphXYZImageFixed,
 }
 
-VARIANTS = dict.fromkeys(
-    ("contact_gt", "contact_noaug", "contact_onestep", "contact_100", "contact_300"), "contact"
-)
+VARIANTS = dict.fromkeys(schema.VARIANTS, "contact")
 """Ablations: models of ``MODELS`` under other training settings, by name."""

@@ -20,26 +20,10 @@ from oes.perception.gt_profiles import profile_to_point_cloud
 from oes.perception.network import SceneFeatures
 from oes.perception.perceiver import Perceiver
 from oes.perception.solids import Solids
+from oes.schema import BOX
 
 DETECTION_MATCH_M = 0.06
 PerceptionRow = dict[str, float | None]
-BOX_COLUMNS = ("x_m", "y_m", "z_m", "width_m", "depth_m", "height_m")
-DETECTION_COLUMNS = (
-    *(
-        "episode",
-        "step",
-        "num_views",
-        "score",
-        "iou",
-        "centre_mm",
-        "mask_iou",
-        "chamfer_mm",
-        "normal_deg",
-    ),
-    *BOX_COLUMNS,
-    *(f"true_{name}" for name in BOX_COLUMNS),
-)
-VIEW_COLUMNS = ("episode", "step", "num_views", "camera", "psnr_db", "ssim")
 
 
 @dataclass(frozen=True)
@@ -211,13 +195,13 @@ def _boxes_row(box_6: Floats | None, true_6: Floats | None) -> PerceptionRow:
         ("score", "iou", "centre_mm", "mask_iou", "chamfer_mm", "normal_deg")
     )
     for prefix, values in (("", box_6), ("true_", true_6)):
-        for column_i, name in enumerate(BOX_COLUMNS):
+        for column_i, name in enumerate(BOX):
             row[prefix + name] = None if values is None else float(values[column_i])
     return row
 
 
 def _boxes(rows: Sequence[PerceptionRow], prefix: str) -> Boxes:
-    values = np.stack([_column(rows, prefix + name) for name in BOX_COLUMNS], axis=1)
+    values = np.stack([_column(rows, prefix + name) for name in BOX], axis=1)
     return Boxes(_column(rows, "episode").astype(np.int64), values[:, :3], values[:, 3:])
 
 

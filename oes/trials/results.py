@@ -9,26 +9,6 @@ from oes.trials.loop import COLLIDED, TrialResult
 from oes.trials.task import Task, TrialScenario
 from oes.trials.trial_video import VideoConfig, write_trial_video
 
-TRIAL_COLUMNS = (
-    "scenario",
-    "model",
-    "planner",
-    "plans",
-    "horizon",
-    "trial_i",
-    "num_objects",
-    "success",
-    "all_success",
-    "collided",
-    "initial_mm",
-    "mean_final_mm",
-    "estimated_mm",
-    "steps_used",
-    "failure",
-    "video",
-)
-
-
 Videos = dict[tuple[str, int], str]  # (planner, trial) -> file name
 
 
@@ -72,7 +52,7 @@ def write_videos(
 def trial_rows(
     trials: Sequence[Trial], name: str, model: str, scenario: TrialScenario, videos: Videos
 ) -> list[dict[str, object]]:
-    """A row of ``TRIAL_COLUMNS`` per trial; a trial that never began has no distances."""
+    """A row of ``oes.schema.TRIALS`` per trial; a trial that never began has no distances."""
     return [
         {
             "scenario": name,
