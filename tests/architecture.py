@@ -96,7 +96,8 @@ def owners(root: Path) -> Iterator[str]:
         part = part_of(path, root) if path.is_relative_to(root / "oes") else "stages"
         for library in sorted({name.split(".")[0] for name in imports(path)} & OWNERS.keys()):
             if part not in OWNERS[library]:
-                yield f"{path.relative_to(root)} imports {library}: only {sorted(OWNERS[library])} may"
+                allowed = sorted(OWNERS[library])
+                yield f"{path.relative_to(root)} imports {library}: only {allowed} may"
 
 
 def isolation(root: Path) -> Iterator[str]:
@@ -110,34 +111,37 @@ def isolation(root: Path) -> Iterator[str]:
                 yield f"oes/{part} reaches {name} through {path.relative_to(root)}"
 
 
-def words(root: Path) -> Iterator[str]:
+def stage_names(root: Path) -> Iterator[str]:
     """The same words in dvc.yaml, stages/ and the sections of params.yaml (which may serve
     modules of oes too).
     """
     stages, modules = set(pipeline(root)), {path.stem for path in (root / "stages").glob("*.py")}
     sections = set(yaml.safe_load((root / "params.yaml").read_text(encoding="utf-8")))
-    for word in sorted(stages ^ modules):
-        yield f"{word}: in only one of dvc.yaml and stages/"
-    for word in sorted(stages - sections):
-        yield f"{word}: a stage without a section in params.yaml"
-    for word in sorted(sections - stages):
-        if not any((root / f"oes/{name}").exists() for name in (word, f"apps/{word}.py")):
-            yield f"{word}: a section of params.yaml that is neither a stage nor an app nor a package of oes"
+    for stage_name in sorted(stages ^ modules):
+        yield f"{stage_name}: in only one of dvc.yaml and stages/"
+    for stage_name in sorted(stages - sections):
+        yield f"{stage_name}: a stage without a section in params.yaml"
+    for stage_name in sorted(sections - stages):
+        if not any(
+            (root / f"oes/{name}").exists() for name in (stage_name, f"apps/{stage_name}.py")
+        ):
+            yield f"{stage_name}: a section of params.yaml without a stage, app or package"
 
 
 def deps(root: Path) -> Iterator[str]:
     """The code under deps is exactly what the stage reaches: DVC keeps a stale output when
     something is unlisted.
     """
-    for word, stage in written(root).items():
+    for stage_name, stage in written(root).items():
         code = [dep for dep in stage["deps"] if not dep.startswith("datasets/")]
-        if set(code) != set(wanted := code_deps(root, word)) or len(code) != len(wanted):
-            yield f"{word}: its deps must be (python -m tests.architecture writes them):\n{block(root, word)}"
+        if set(code) != set(wanted := code_deps(root, stage_name)) or len(code) != len(wanted):
+            command = "python -m tests.architecture writes them"
+            yield f"{stage_name}: its deps must be ({command}):\n{block(root, stage_name)}"
 
 
-def code_deps(root: Path, word: str) -> list[str]:
+def code_deps(root: Path, stage_name: str) -> list[str]:
     """The stage's own file, then the modules and packages of oes that it reaches."""
-    stage = root / f"stages/{word}.py"
+    stage = root / f"stages/{stage_name}.py"
     parts = {
         part_of(path, root)
         for path in reached([stage], root)
@@ -147,53 +151,53 @@ def code_deps(root: Path, word: str) -> list[str]:
         f"oes/{part}.py" if (root / f"oes/{part}.py").exists() else f"oes/{part}"
         for part in sorted(parts - {""})
     ]
-    return [f"stages/{word}.py", *names]
+    return [f"stages/{stage_name}.py", *names]
 
 
-def block(root: Path, word: str, indent: str = "    ") -> str:
-    data = [dep for dep in pipeline(root)[word]["deps"] if dep.startswith("datasets/")]
+def block(root: Path, stage_name: str, indent: str = "    ") -> str:
+    data = [dep for dep in pipeline(root)[stage_name]["deps"] if dep.startswith("datasets/")]
     return "".join(
         f"{indent}{line}\n"
-        for line in ["deps:", *(f"  - {dep}" for dep in code_deps(root, word) + data)]
+        for line in ["deps:", *(f"  - {dep}" for dep in code_deps(root, stage_name) + data)]
     )
 
 
 def commands(root: Path) -> Iterator[str]:
     """Each cmd runs its stage with the flags of its main, and every path in it is declared."""
-    for word, stage in written(root).items():
+    for stage_name, stage in written(root).items():
         python, m, module, *flags = shlex.split(stage["cmd"])
         given = {
             flag.removeprefix("--"): value
             for flag, value in zip(flags[::2], flags[1::2], strict=True)
         }
-        kinds = main_flags(root / f"stages/{word}.py")
-        if (python, m, module) != ("python", "-m", f"stages.{word}"):
-            yield f"{word}: its cmd does not run stages.{word}"
+        kinds = main_flags(root / f"stages/{stage_name}.py")
+        if (python, m, module) != ("python", "-m", f"stages.{stage_name}"):
+            yield f"{stage_name}: its cmd does not run stages.{stage_name}"
         if given.keys() != kinds.keys():
-            yield f"{word}: its cmd has flags {sorted(given)}, its main {sorted(kinds)}"
+            yield f"{stage_name}: its cmd has flags {sorted(given)}, its main {sorted(kinds)}"
         paths = {
             value for flag, value in given.items() if kinds.get(flag) == "Path" and flag != "out"
         }
         data = {dep for dep in stage["deps"] if dep.startswith("datasets/")}
         for path in sorted(paths):
             if not any(dep == path or dep.startswith(f"{path}/") for dep in data):
-                yield f"{word}: {path} is in its cmd, not in its deps"
+                yield f"{stage_name}: {path} is in its cmd, not in its deps"
         for dep in sorted(data):
             if not any(dep == path or dep.startswith(f"{path}/") for path in paths):
-                yield f"{word}: {dep} is in its deps, not in its cmd"
+                yield f"{stage_name}: {dep} is in its deps, not in its cmd"
         if given.get("out") not in outs(stage):
-            yield f"{word}: --out {given.get('out')} is not in its outs"
+            yield f"{stage_name}: --out {given.get('out')} is not in its outs"
 
 
 def produced(root: Path) -> Iterator[str]:
     """Every data dep of every instance is the output of some instance."""
     stages = pipeline(root)
     made = {path for stage in stages.values() for path in expand(outs(stage), stage)}
-    for word, stage in stages.items():
+    for stage_name, stage in stages.items():
         for dep in sorted(
             expand([dep for dep in stage["deps"] if dep.startswith("datasets/")], stage) - made
         ):
-            yield f"{word}: no stage makes {dep}"
+            yield f"{stage_name}: no stage makes {dep}"
 
 
 def profiles(root: Path) -> Iterator[str]:
@@ -217,15 +221,15 @@ def pipeline(root: Path) -> dict[str, Any]:
     stages: dict[str, Any] = yaml.safe_load((root / "dvc.yaml").read_text(encoding="utf-8"))[
         "stages"
     ]
-    return {word: {**stage.pop("do", {}), **stage} for word, stage in stages.items()}
+    return {stage_name: {**stage.pop("do", {}), **stage} for stage_name, stage in stages.items()}
 
 
 def written(root: Path) -> dict[str, Any]:
     """The stages of dvc.yaml that have their module; `words` names the others."""
     return {
-        word: stage
-        for word, stage in pipeline(root).items()
-        if (root / f"stages/{word}.py").exists()
+        stage_name: stage
+        for stage_name, stage in pipeline(root).items()
+        if (root / f"stages/{stage_name}.py").exists()
     }
 
 
@@ -260,9 +264,12 @@ def rewrite_deps(root: Path) -> None:
     """Put the code that each stage reaches into dvc.yaml, before the data it reads."""
     path = root / "dvc.yaml"
     text = path.read_text(encoding="utf-8")
-    for word in written(root):
-        pattern = rf"(?ms)(^  {word}:\n.*?)^( +)deps:\n(?:\2  - .*?\n)+"
-        text = re.sub(pattern, lambda found: found[1] + block(root, word, found[2]), text, count=1)  # noqa: B023
+    for stage_name in written(root):
+        pattern = rf"(?ms)(^  {stage_name}:\n.*?)^( +)deps:\n(?:\2  - .*?\n)+"
+        match = re.search(pattern, text)
+        assert match, stage_name
+        new = match[1] + block(root, stage_name, match[2])
+        text = text[: match.start()] + new + text[match.end() :]
     path.write_text(text, encoding="utf-8")
 
 

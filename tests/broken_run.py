@@ -31,7 +31,8 @@ def main() -> None:
     broken = run_with_kills(MIDDLES)
     different = sorted(name for name in whole | broken if whole.get(name) != broken.get(name))
     print(
-        f"{len(whole)} files of {', '.join(STAGES)}; different after {len(MIDDLES)} kills: {len(different)}"
+        f"{len(whole)} files of {', '.join(STAGES)}; "
+        f"different after {len(MIDDLES)} kills: {len(different)}"
     )
     sys.exit("\n".join(different) or None)
 

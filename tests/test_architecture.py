@@ -14,8 +14,8 @@ from tests import architecture as arch
 ROOT = Path(__file__).parents[1]
 Guard = Callable[[Path], Iterator[str]]
 GUARDS: list[Guard] = [
-    arch.layers, arch.rules, arch.owners, arch.isolation, arch.words, arch.deps, arch.commands, arch.produced,
-    arch.profiles,
+    arch.layers, arch.rules, arch.owners, arch.isolation, arch.stage_names, arch.deps,
+    arch.commands, arch.produced, arch.profiles,
 ]  # fmt: skip
 TOY = {
     "oes/__init__.py": '"""Toy."""\n',
@@ -28,8 +28,8 @@ TOY = {
     "oes/mpc/search.py": "from oes.geom.se3 import rigid\n",
     "oes/training/loop.py": "",
     "oes/report/__init__.py": "import matplotlib.pyplot\n",
-    "stages/count.py": "from oes.sim import world\ndef main(cfg: object, task: str, out: Path) -> None: ...\n",
-    "stages/total.py": "import oes.config\ndef main(cfg: object, counts: Path, out: Path) -> None: ...\n",
+    "stages/count.py": "from oes.sim import world\ndef main(cfg: int, task: str, out: Path): ...\n",
+    "stages/total.py": "import oes.config\ndef main(cfg: object, counts: Path, out: Path): ...\n",
     "params.yaml": "count: {a: {b: 1}}\ntotal: {c: [1]}\n",
     "params.smoke.yaml": "count: {a: {b: 2}}\ntotal: {c: [1, 2]}\n",
     "params.paper.yaml": "count: {a: {b: 3}}\ntotal: {c: []}\n",
@@ -167,15 +167,9 @@ def test_a_sound_repository_passes(toy: Path) -> None:
             "import torch.nn\n",
             "oes/report/table.py imports torch",
         ),
-        (arch.words, "stages/stray.py", "", "", "stray: in only one of"),
-        (arch.words, "params.yaml", "total", "sum", "total: a stage without a section"),
-        (
-            arch.words,
-            "params.yaml",
-            "total",
-            "sum",
-            "sum: a section of params.yaml that is neither",
-        ),
+        (arch.stage_names, "stages/stray.py", "", "", "stray: in only one of"),
+        (arch.stage_names, "params.yaml", "total", "sum", "total: a stage without a section"),
+        (arch.stage_names, "params.yaml", "total", "sum", "sum: a section of params.yaml without"),
         (
             arch.deps,
             "oes/geom/se3.py",

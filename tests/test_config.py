@@ -24,7 +24,10 @@ class Arm:
     splits: dict[str, Split]
 
 
-GOOD = "arm: {noise_m: 1, bins: [1, 2], kind: rod, is_slow: false, splits: {train: {count: 3, margin_m: 1.0e-3}}}"
+GOOD = (
+    "arm: {noise_m: 1, bins: [1, 2], kind: rod, is_slow: false, "
+    "splits: {train: {count: 3, margin_m: 1.0e-3}}}"
+)
 
 
 def read(tmp_path: Path, text: str) -> Arm:

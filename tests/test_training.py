@@ -17,8 +17,9 @@ from oes.training.muon import orthogonal
 
 CPU = torch.device("cpu")
 CFG = {
-    "steps": 60, "batch": 16, "optimizer": "adamw", "lr": 1.0e-2, "warmup_steps": 5, "weight_decay": 0.01,
-    "clip": 1.0, "ema_decay": 0.9, "bfloat16": False, "checkpoint_every_steps": 20, "log_every_steps": 8, "seed": 3,
+    "steps": 60, "batch": 16, "optimizer": "adamw", "lr": 1.0e-2, "warmup_steps": 5,
+    "weight_decay": 0.01, "clip": 1.0, "ema_decay": 0.9, "bfloat16": False,
+    "checkpoint_every_steps": 20, "log_every_steps": 8, "seed": 3,
 }  # fmt: skip
 WEIGHTS = {"fit": 1.0, "size": 1.0e-3}
 
@@ -31,7 +32,8 @@ def make_model() -> nn.Module:
     torch.manual_seed(0)
     # Channels-last weights and batch norm: the moments' layout and the buffers must survive a
     # checkpoint too.
-    conv = nn.Conv2d(2, 4, 3, padding=1).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    conv = nn.Conv2d(2, 4, 3, padding=1)
+    conv = conv.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     tail = [nn.BatchNorm2d(4), nn.ReLU(), nn.Dropout(0.2), nn.Flatten(), nn.Linear(64, 1)]
     return nn.Sequential(conv, *tail)
 
@@ -118,9 +120,10 @@ def test_muon_steps_are_about_orthogonal(shape: tuple[int, int]) -> None:
     assert (turned - turned.diagonal().diag()).abs().max() < 1e-4
 
 
-def test_killed_process_goes_on(tmp_path: Path, unbroken: tuple) -> None:
+def test_killed_process_resumes(tmp_path: Path, unbroken: tuple) -> None:
     here = str(Path(__file__).parent)
-    code = f"import sys, time; sys.path.insert(0, {here!r}); import test_fit as t; from pathlib import Path\n"
+    code = f"import sys, time; from pathlib import Path; sys.path.insert(0, {here!r})\n"
+    code += "import test_training as t\n"
     code += "make = t.batch_at\nt.batch_at = lambda i: (time.sleep(600 * (i == 45)), make(i))[1]\n"
     code += f"t.train(Path({str(tmp_path)!r}))"
     process = subprocess.Popen([sys.executable, "-c", code])

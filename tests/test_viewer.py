@@ -122,15 +122,15 @@ def test_the_push_starts_where_it_is_dragged_and_turns_with_its_end(viewer: View
 
 
 def test_a_folder_without_an_episode_is_named(folder: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="perception: no episode is there"):
+    with pytest.raises(FileNotFoundError, match="perception: no episode"):
         open_session(folder / "perception", 1)
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
 def test_a_browser_connects_and_draws(viewer: Viewer, tmp_path: Path) -> None:
-    command = [str(BROWSER), "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-               "--remote-debugging-port=0", f"--user-data-dir={tmp_path}",
-               f"http://localhost:{viewer.server.get_port()}"]  # fmt: skip
+    flags = "--headless --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader"
+    flags += f" --remote-debugging-port=0 --user-data-dir={tmp_path}"
+    command = [str(BROWSER), *flags.split(), f"http://localhost:{viewer.server.get_port()}"]
     browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         wait(lambda: bool(viewer.server.get_clients()), 90.0)
