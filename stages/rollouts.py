@@ -1,9 +1,6 @@
-"""rollouts: one model unrolled on every test split and setting; every error of every step is kept
-as a row.
-"""
+"""rollouts: unroll one model on every test split and perception setting; keep every error."""
 
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 
 from PIL import Image
@@ -12,18 +9,13 @@ from tqdm import tqdm
 from oes.cli import run
 from oes.csv_io import write_csv
 from oes.dynamics.checkpoint import load_any_model
-from oes.evaluation.evaluate_forecasts import (
-    ERROR_COLUMNS,
-    penetration_meter,
-    sample_mesh_surfaces,
-    settings_of,
-    split_rows,
-    strips,
-)
+from oes.evaluation.evaluate_forecasts import Row, error_rows, mesh_geometry, scored_settings
+from oes.evaluation.filmstrips import render_filmstrips
 from oes.evaluation.forecasters import RolloutsConfig, make_forecaster, with_oracle_shapes
 from oes.meshes.catalogue import load_catalogue
 from oes.perception.objects_file import read_objects
 from oes.record.dataset import read_states
+from oes.schema import ERRORS
 from oes.stage import publish, work_dir
 
 
@@ -37,30 +29,26 @@ def main(
     dynamics: Path,
     out: Path,
 ) -> None:
-    """Write ``errors.csv`` and ``scenes/<split>-<episode>.png`` to ``out``."""
-    catalogue = load_catalogue(meshes)
-    learned = load_any_model(dynamics)
-    forecast = make_forecaster(learned, catalogue, cfg)
-    surfaces = sample_mesh_surfaces(catalogue, cfg.num_surface_points)
-    overlaps = penetration_meter(catalogue, surfaces)
+    """Write ``errors.csv`` and the film strips ``scenes/<split>-<episode>.png`` to ``out``."""
+    catalogue, trained = load_catalogue(meshes), load_any_model(dynamics)
+    forecaster = make_forecaster(trained, catalogue, cfg)
+    geometry = mesh_geometry(catalogue, cfg.num_surface_points)
 
-    def rows(pictures: Path) -> Iterator[dict[str, object]]:
-        for split in tqdm(settings_of(cfg, model), unit="split", disable=None):
-            store = with_oracle_shapes(
-                learned, read_objects(objects / f"{task}-{split}" / "objects.safetensors")
-            )
+    def rows(folder: Path) -> Iterator[Row]:
+        for split in tqdm(scored_settings(cfg, model), unit="split", disable=None):
+            store = read_objects(objects / f"{task}-{split}" / "objects.safetensors")
+            store = with_oracle_shapes(trained, store)
             recorded = dict(enumerate(read_states(episodes / f"{task}-{split}")))
-            words = (task, model, split)
-            yield from map(
-                asdict, split_rows(forecast, store, recorded, surfaces, overlaps, words, cfg)
-            )
-            if split == cfg.strips.splits[task]:
-                for episode_i, picture in strips(forecast, store, recorded, catalogue, cfg):
-                    Image.fromarray(picture).save(pictures / f"{split}-{episode_i:06d}.png")
+            names = (task, model, split)
+            yield from error_rows(forecaster, store, recorded, geometry, names, cfg)
+            if split == cfg.filmstrips.splits[task]:
+                strips = render_filmstrips(forecaster, store, recorded, catalogue, cfg)
+                for episode_i, image in strips:
+                    Image.fromarray(image).save(folder / f"{split}-{episode_i:06d}.png")
 
     with work_dir(out, (cfg, task, model, [meshes, episodes, objects, dynamics])) as work:
         (work / "scenes").mkdir(exist_ok=True)
-        write_csv(work / "errors.csv", rows(work / "scenes"), ERROR_COLUMNS)
+        write_csv(work / "errors.csv", rows(work / "scenes"), ERRORS)
         publish(work, out)
 
 

@@ -1,5 +1,5 @@
-"""What models forecast of test episodes: those that see what perception saw, and Bullet itself
-(paper section 4.1).
+"""Forecasts of test episodes: by models from perceived objects, and by the simulator itself from
+the true state (paper section 4.1).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 
 from oes.config import Shared, params
 from oes.dynamics.error_model import ErrorModel
@@ -16,23 +15,22 @@ from oes.dynamics.examples import padded, stack, true_motion
 from oes.dynamics.models import GraphModel
 from oes.dynamics.reference_models import Simulator
 from oes.dynamics.unroll import DynamicsModel, unroll
-from oes.episode import Episode, Floats
+from oes.episode import Bools, Episode, Floats, Step
+from oes.geom.se3 import rigid
 from oes.meshes.catalogue import Catalogue
 from oes.objects import Objects
 from oes.perception.objects_file import ObjectStore
 from oes.sim.simulate import replay
 from oes.sim.world import SimConfig
 
-Bools = NDArray[np.bool_]
-
-CHUNKS = 16
+CHUNKS = 16  # jobs of a replay; more than workers, so that the last ones finish together
 
 
 @params
-class StripsConfig:
-    """Pictures of forecasts beside the truth: of the first ``count`` episodes of each task's
-    ``splits``, under one setting, seen by a camera on the rig's sphere with its own angles and
-    image.
+class FilmstripsConfig:
+    """Film strips of the first ``count`` episodes of one split per task, under one setting.
+
+    The camera stands on the rig's sphere at its own angles and has a square image.
     """
 
     splits: dict[str, str]
@@ -46,8 +44,11 @@ class StripsConfig:
 
 @params
 class RolloutsConfig:
-    """The section ``rollouts``: settings scored on each test split (``variants``: those of
-    ablations), what is moved, points on each surface, pictures, and Bullet for the replay.
+    """The section ``rollouts``.
+
+    ``settings``: perception settings by test split; ``variants``: the same for ablations.
+    ``moved_mm``, ``moved_deg``: an object that exceeds either by the last step counts as moved.
+    ``num_surface_points``: samples of each mesh's surface. ``num_workers``: for the simulator.
     """
 
     settings: dict[str, tuple[str, ...]]
@@ -55,29 +56,30 @@ class RolloutsConfig:
     moved_mm: float
     moved_deg: float
     num_surface_points: int
-    strips: StripsConfig
+    filmstrips: FilmstripsConfig
     num_workers: int
     sim: Shared[SimConfig]
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Where a model puts the true objects of one episode: motion since t = 0 of each object's true
-    box centre; and, of models that tell, how sure it is: the scale of the translation's error
-    (metres), and the law it belongs to.
+    """Motion of an episode's N true objects since t = 0, at their true box centres (world, metres).
+
+    ``sigma_TN``: scale of the translation error (metres) under ``error_model``, NaN for undetected
+    objects; both are None for models without an uncertainty estimate.
     """
 
     translation_TN3: Floats
     rotation_TN33: Floats
     detected_N: Bools
-    scale_TN: Floats | None = None
-    certainty: ErrorModel | None = None
+    sigma_TN: Floats | None = None
+    error_model: ErrorModel | None = None
 
 
 @dataclass(frozen=True)
 class PerceivedScene:
-    """One draw: the episode's number, how many views, the perceived objects and the true one of
-    each (-1: none).
+    """The first state of an episode as perceived; ``truth``: index of each object's match among the
+    true objects, -1 for none.
     """
 
     episode_i: int
@@ -86,35 +88,43 @@ class PerceivedScene:
     truth: Sequence[int]
 
 
+Forecaster = Callable[[Sequence[PerceivedScene], Mapping[int, Episode]], list[Forecast]]
+
+
 def perceived_scenes(
     store: ObjectStore, setting: str, episodes: Mapping[int, Episode]
 ) -> list[PerceivedScene]:
-    """The draws of a setting, but for missing episodes. Raises ObjectsError for a setting that the
-    file lacks.
+    """Scenes of one setting whose episodes are given.
+
+    Raises ObjectsError for a setting that the file lacks.
     """
-    draw_is = [draw_i for draw_i in store.draws(setting) if store.episode(draw_i) in episodes]
-    return [_scene(store, draw_i) for draw_i in draw_is]
+    scenes = []
+    for draw_i in store.draws(setting):
+        episode_i, num_views = store.episode(draw_i), len(store.views(draw_i))
+        if episode_i in episodes:
+            objects, gt_N = store.scene(draw_i)
+            scenes.append(PerceivedScene(episode_i, num_views, objects, gt_N.tolist()))
+    return scenes
 
 
 def with_oracle_shapes(model: DynamicsModel | Simulator, store: ObjectStore) -> ObjectStore:
-    """The perceived objects as a model is to see them: with their true surfaces, if it is an
-    ablation that says so.
-    """
-    is_told = isinstance(model, GraphModel) and model.net.contact.gt_surfaces
-    return store.with_gt_surfaces() if is_told else store
+    """Objects as the model's inputs: with ground-truth surfaces for the ablation that uses them."""
+    is_oracle = isinstance(model, GraphModel) and model.net.contact.gt_surfaces
+    return store.with_gt_surfaces() if is_oracle else store
 
 
-def _scene(store: ObjectStore, draw_i: int) -> PerceivedScene:
-    objects, truth = store.scene(draw_i)
-    return PerceivedScene(store.episode(draw_i), len(store.views(draw_i)), objects, truth.tolist())
-
-
-Forecaster = Callable[[Sequence[PerceivedScene], Mapping[int, Episode]], list[Forecast]]
+def make_forecaster(
+    model: DynamicsModel | Simulator, catalogue: Catalogue, cfg: RolloutsConfig
+) -> Forecaster:
+    """The forecaster for a model of ``oes.dynamics.MODELS``."""
+    if isinstance(model, Simulator):
+        return SimulatorForecaster(model, catalogue, cfg)
+    return ModelForecaster(model)
 
 
 @dataclass(frozen=True)
 class ModelForecaster:
-    """Forecasts of a model that sees what perception saw."""
+    """Forecasts of a learned model from perceived objects; all scenes are one batch."""
 
     model: DynamicsModel
 
@@ -122,107 +132,90 @@ class ModelForecaster:
     def __call__(
         self, scenes: Sequence[PerceivedScene], episodes: Mapping[int, Episode]
     ) -> list[Forecast]:
-        """All scenes as one batch."""
         if not scenes:
             return []
         most = max(len(scene.truth) for scene in scenes)
         objects = stack([padded(scene.objects, most) for scene in scenes])
-        chosen = [episodes[scene.episode_i] for scene in scenes]
-        tip_B3 = torch.from_numpy(
-            np.stack([episode.steps[0].tip_world_3 for episode in chosen])
-        ).float()
-        actions_BT3 = torch.from_numpy(np.stack([episode.actions_T3 for episode in chosen])).float()
-        found = unroll(self.model, objects, tip_B3, actions_BT3)
-        motions = zip(
-            found.translation_BTN3.double().numpy(),
-            found.rotation_BTN33.double().numpy(),
-            strict=True,
-        )
-        carry = [
-            to_gt_objects(scene, episode, *motion)
-            for scene, episode, motion in zip(scenes, chosen, motions, strict=True)
+        recorded = [episodes[scene.episode_i] for scene in scenes]
+        tip_B3 = np.stack([episode.steps[0].tip_world_3 for episode in recorded])
+        actions_BT3 = np.stack([episode.actions_T3 for episode in recorded])
+        inputs = (torch.from_numpy(x).float() for x in (tip_B3, actions_BT3))
+        rollout = unroll(self.model, objects, *inputs)
+        translation_BTN3 = rollout.translation_BTN3.double().numpy()
+        rotation_BTN33 = rollout.rotation_BTN33.double().numpy()
+        forecasts = [
+            to_gt_objects(*each)
+            for each in zip(scenes, recorded, translation_BTN3, rotation_BTN33, strict=True)
         ]
-        if found.sigma_BTN is None:
-            return carry
-        scales_BTN = found.sigma_BTN.double().numpy()
-        return [
-            replace(
-                forecast,
-                scale_TN=_of_true(scene, scale_TN, len(forecast.detected_N)),
-                certainty=self.model.error_model,
-            )
-            for forecast, scene, scale_TN in zip(carry, scenes, scales_BTN, strict=True)
-        ]
+        if rollout.sigma_BTN is None:
+            return forecasts
+        for b, scene in enumerate(scenes):
+            sigma_TN = np.full(forecasts[b].translation_TN3.shape[:2], np.nan)
+            for n, true_i in enumerate(scene.truth):
+                if true_i >= 0:
+                    sigma_TN[:, true_i] = rollout.sigma_BTN[b, :, n].double().numpy()
+            error_model = self.model.error_model
+            forecasts[b] = replace(forecasts[b], sigma_TN=sigma_TN, error_model=error_model)
+        return forecasts
 
 
 class SimulatorForecaster:
-    """Forecasts of Bullet from the true start with the mean mass and friction; each episode is run
-    once.
+    """Forecasts of Bullet from the true initial state with the mean mass and friction.
+
+    Perception plays no part, so each episode is simulated once.
     """
 
     def __init__(self, simulator: Simulator, catalogue: Catalogue, cfg: RolloutsConfig) -> None:
         self.mass_kg, self.friction = float(simulator.mass_kg), float(simulator.friction)
         self.catalogue, self.sim, self.num_workers = catalogue, cfg.sim, cfg.num_workers
-        self.known: dict[tuple[str, int], Forecast] = {}
+        self._cache: dict[tuple[str, int], Forecast] = {}
 
     def __call__(
         self, scenes: Sequence[PerceivedScene], episodes: Mapping[int, Episode]
     ) -> list[Forecast]:
-        """What is drawn or detected plays no part."""
-        chosen = [episodes[scene.episode_i] for scene in scenes]
-        new = [
-            episode
-            for episode in {_key(e): e for e in chosen}.values()
-            if _key(episode) not in self.known
-        ]
-        chunks = [chunk for chunk in (new[i::CHUNKS] for i in range(CHUNKS)) if chunk]
-        for run in Parallel(n_jobs=self.num_workers)(
-            delayed(self._replay)(chunk) for chunk in chunks
-        ):
-            self.known |= run
-        return [self.known[_key(episode)] for episode in chosen]
+        wanted = {_key(episodes[scene.episode_i]): episodes[scene.episode_i] for scene in scenes}
+        new = [episode for key, episode in wanted.items() if key not in self._cache]
+        chunks = [new[i::CHUNKS] for i in range(min(CHUNKS, len(new)))]
+        jobs = (delayed(self._replay)(chunk) for chunk in chunks)
+        for forecasts in Parallel(n_jobs=self.num_workers)(jobs):
+            self._cache |= forecasts
+        return [self._cache[_key(episodes[scene.episode_i])] for scene in scenes]
 
     def _replay(self, episodes: Sequence[Episode]) -> dict[tuple[str, int], Forecast]:
-        out = {}
+        forecasts = {}
         for episode in episodes:
             again = replay(self.catalogue, self.sim, episode, self.mass_kg, self.friction)
-            out[_key(episode)] = true_forecast(again, episode.steps[0].center_N3)
-        return out
+            forecasts[_key(episode)] = true_forecast(again, episode.steps[0].center_N3)
+        return forecasts
+
+
+def _key(episode: Episode) -> tuple[str, int]:
+    return episode.split, episode.index
 
 
 def to_gt_objects(
     scene: PerceivedScene, episode: Episode, translation_TN3: Floats, rotation_TN33: Floats
 ) -> Forecast:
-    """The forecast motion of the perceived objects, about their perceived centres, applied to the
-    true box centres.
+    """Transfer the motion of perceived objects, about their perceived centres, to the true objects;
+    undetected ones are forecast to stay.
     """
-    true_N3 = episode.steps[0].center_N3
-    steps, num = len(episode.actions_T3), len(true_N3)
-    moved_TN3, turned_TN33 = np.zeros((steps, num, 3)), np.tile(np.eye(3), (steps, num, 1, 1))
-    detected_N = np.zeros(num, dtype=bool)
-    for i, object_i in enumerate(scene.truth):
-        if object_i < 0:
-            continue
-        from_center_3 = true_N3[object_i] - scene.objects.center_N3[i].double().numpy()
-        moved_TN3[:, object_i] = (
-            rotation_TN33[:, i] @ from_center_3 - from_center_3 + translation_TN3[:, i]
-        )
-        turned_TN33[:, object_i] = rotation_TN33[:, i]
-        detected_N[object_i] = True
-    return Forecast(moved_TN3, turned_TN33, detected_N)
-
-
-def _of_true(scene: PerceivedScene, scale_TM: Floats, num: int) -> Floats:
-    """Scales TN of true objects, of those TM of perceived ones; NaN for what was not detected."""
-    scale_TN = np.full((len(scale_TM), num), np.nan)
-    for i, object_i in enumerate(scene.truth):
-        if object_i >= 0:
-            scale_TN[:, object_i] = scale_TM[:, i]
-    return scale_TN
+    center_N3 = episode.steps[0].center_N3
+    steps, num = len(episode.actions_T3), len(center_N3)
+    gt_translation_TN3, detected_N = np.zeros((steps, num, 3)), np.zeros(num, dtype=bool)
+    gt_rotation_TN33 = np.tile(np.eye(3), (steps, num, 1, 1))
+    for n, true_i in enumerate(scene.truth):
+        if true_i >= 0:
+            # A rigid motion about the perceived centre moves the true centre by R d - d + t.
+            offset_3 = center_N3[true_i] - scene.objects.center_N3[n].double().numpy()
+            lever_T3 = rotation_TN33[:, n] @ offset_3 - offset_3
+            gt_translation_TN3[:, true_i] = lever_T3 + translation_TN3[:, n]
+            gt_rotation_TN33[:, true_i] = rotation_TN33[:, n]
+            detected_N[true_i] = True
+    return Forecast(gt_translation_TN3, gt_rotation_TN33, detected_N)
 
 
 def true_forecast(episode: Episode, center_N3: Floats) -> Forecast:
-    """What happened in an episode to the points ``center_N3`` of its objects."""
+    """Recorded motion of the points ``center_N3`` of an episode's objects."""
     motions = [true_motion(episode.steps, i, center_3) for i, center_3 in enumerate(center_N3)]
     translation_TN3, rotation_TN33 = (
         np.stack(parts, axis=1) for parts in zip(*motions, strict=True)
@@ -230,16 +223,14 @@ def true_forecast(episode: Episode, center_N3: Floats) -> Forecast:
     return Forecast(translation_TN3, rotation_TN33, np.ones(len(center_N3), dtype=bool))
 
 
-def make_forecaster(
-    model: DynamicsModel | Simulator, catalogue: Catalogue, cfg: RolloutsConfig
-) -> Forecaster:
-    """How a model of ``MODELS`` forecasts."""
-    return (
-        SimulatorForecaster(model, catalogue, cfg)
-        if isinstance(model, Simulator)
-        else ModelForecaster(model)
-    )
-
-
-def _key(episode: Episode) -> tuple[str, int]:
-    return episode.split, episode.index
+def forecast_steps(episode: Episode, forecast: Forecast) -> list[Step]:
+    """The episode's I states with its objects at their forecast poses."""
+    first = episode.steps[0]
+    steps = [first]
+    for t, step in enumerate(episode.steps[1:]):
+        R_N33 = forecast.rotation_TN33[t]
+        origin_N3 = (R_N33 @ -first.center_N3[..., None])[..., 0]
+        origin_N3 = origin_N3 + first.center_N3 + forecast.translation_TN3[t]
+        world_T_obj_N44 = rigid(R_N33, origin_N3) @ first.world_T_obj_N44
+        steps.append(replace(step, world_T_obj_N44=world_T_obj_N44))
+    return steps

@@ -1,6 +1,4 @@
-"""How deep forecast objects stick in one another, by the convex parts of their meshes: a forecast's
-physical sense.
-"""
+"""Physical plausibility of forecasts: penetration depth between objects."""
 
 from itertools import permutations
 
@@ -11,25 +9,17 @@ from oes.episode import Body, Episode, Floats
 from oes.geom.se3 import inverse, transform
 from oes.meshes.catalogue import Catalogue
 
-Planes = tuple[
-    Floats, ...
-]  # of each convex part: F4, outward unit normals and offsets; inside where all are negative
-
 
 class PenetrationMeter:
-    """Depths of penetration among the bodies of a catalogue; what is known of a scaled body is
-    kept.
-    """
+    """Penetration depths among a catalogue's bodies, by the convex parts of their meshes."""
 
     def __init__(self, catalogue: Catalogue, points: dict[str, Floats]) -> None:
-        """``points``: some of each mesh's surface, P3 in its obj frame, unit scale."""
+        """``points``: samples P3 of each mesh's surface (obj frame, unit scale)."""
         self.catalogue, self.points = catalogue, points
-        self.known: dict[tuple[str, tuple[float, ...]], Planes] = {}
+        self._cache: dict[tuple[str, tuple[float, ...]], list[Floats]] = {}
 
     def depths_mm(self, episode: Episode, world_T_obj_TN44: Floats) -> Floats:
-        """How deep (mm) each object is in others, or others in it, TN, where they are put; 0 where
-        nothing overlaps.
-        """
+        """Maximum pairwise penetration TN (mm) of each object at the given poses; 0 for none."""
         depth_TN = np.zeros(world_T_obj_TN44.shape[:2])
         for i, j in permutations(range(len(episode.bodies)), 2):
             first, second = episode.bodies[i], episode.bodies[j]
@@ -41,23 +31,24 @@ class PenetrationMeter:
         return depth_TN
 
     def _depth(self, body: Body, points_TP3: Floats) -> Floats:
-        """The greatest depth T (metres) of points, in the body's obj frame, inside it."""
+        """Largest depth T (metres) of points (obj frame) below the surface of a body's parts."""
         low_3, high_3 = self.catalogue.meshes[body.mesh].visual.bounds * body.scale_3
         is_near_TP = ((points_TP3 > low_3) & (points_TP3 < high_3)).all(-1)
         depth_TP = np.zeros(is_near_TP.shape)
         if is_near_TP.any():
             near_Q3 = points_TP3[is_near_TP]
-            inside = [
-                -(near_Q3 @ part[:, :3].T + part[:, 3]).max(-1) for part in self._planes(body)
-            ]
+            planes = self._planes(body)
+            inside = [-(near_Q3 @ plane[:, :3].T + plane[:, 3]).max(-1) for plane in planes]
             depth_TP[is_near_TP] = np.maximum(np.max(inside, axis=0), 0)
         return np.asarray(depth_TP.max(-1))
 
-    def _planes(self, body: Body) -> Planes:
+    def _planes(self, body: Body) -> list[Floats]:
+        """Outward unit normals and offsets F4 of each part's faces; negative values are inside."""
         key = (body.mesh, tuple(body.scale_3.tolist()))
-        if key not in self.known:
-            parts = self.catalogue.meshes[body.mesh].parts
-            self.known[key] = tuple(
-                ConvexHull(p.vertices * body.scale_3, qhull_options="QJ").equations for p in parts
-            )
-        return self.known[key]
+        if key not in self._cache:
+            self._cache[key] = [
+                # QJ joggles coplanar points, which box-shaped parts have many of.
+                ConvexHull(part.vertices * body.scale_3, qhull_options="QJ").equations
+                for part in self.catalogue.meshes[body.mesh].parts
+            ]
+        return self._cache[key]

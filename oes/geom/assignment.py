@@ -1,13 +1,12 @@
 """Gated one-to-one assignment of points."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from oes.episode import Floats
+from oes.episode import Floats, Ints
 
 
-def assign(points_N3: Floats, candidates_P3: Floats, gate_m: float) -> NDArray[np.int64]:
+def assign(points_N3: Floats, candidates_P3: Floats, gate_m: float) -> Ints:
     """Index of the candidate assigned to each point, -1 for none; each is used at most once.
 
     Minimizes the total distance among pairs at most ``gate_m`` apart (Hungarian algorithm).

@@ -1,1 +1,4 @@
-"""Errors, image metrics and statistics. Numpy and scipy only, no files."""
+"""Metrics without file access: errors of objects and boxes, image quality, statistics.
+
+May import: episode and geom. ``errors`` and ``statistics`` need numpy and scipy only.
+"""

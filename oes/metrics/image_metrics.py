@@ -1,4 +1,4 @@
-"""How alike two pictures are."""
+"""Similarity of images."""
 
 from torch import Tensor
 from torchmetrics.functional.image import (
@@ -7,14 +7,10 @@ from torchmetrics.functional.image import (
 )
 
 
-def image_quality(made_3HW: Tensor, true_3HW: Tensor) -> dict[str, float]:
-    """``psnr_db`` and ``ssim`` of a picture against the true one, both 0 to 1 (the first is cut off
-    there).
-    """
-    made, true = made_3HW[None].clamp(0, 1), true_3HW[None]
-    ssim = structural_similarity_index_measure(made, true, data_range=1.0)
+def image_quality(predicted_3HW: Tensor, true_3HW: Tensor) -> dict[str, float]:
+    """``psnr_db`` and ``ssim`` of RGB images in [0, 1]; the prediction is clamped to it."""
+    predicted, true = predicted_3HW[None].clamp(0, 1), true_3HW[None]
+    ssim = structural_similarity_index_measure(predicted, true, data_range=1.0)
     assert isinstance(ssim, Tensor)
-    return {
-        "psnr_db": float(peak_signal_noise_ratio(made, true, data_range=1.0)),
-        "ssim": float(ssim),
-    }
+    psnr = peak_signal_noise_ratio(predicted, true, data_range=1.0)
+    return {"psnr_db": float(psnr), "ssim": float(ssim)}

@@ -5,16 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from oes.config import params
-from oes.episode import Floats
+from oes.episode import Bools, Floats
 from oes.mpc.geodesic import DistanceField, GeodesicDistance
 from oes.mpc.sampler import Footprint, Rod
 from oes.mpc.search import Rollouts
 
-Bools = NDArray[np.bool_]
 SAMPLES_PER_PUSH = 6  # points of each stroke of the rod that are tested for collision
 
 

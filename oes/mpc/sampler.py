@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from oes.config import params
-from oes.episode import Floats
+from oes.episode import Bools, Floats
 from oes.mpc.search import Candidates, PlanError
 
 
@@ -197,7 +197,7 @@ class PushSampler:
         offset = (-push.max_offset, push.max_offset)
         return np.array([offset, standoff, *turns, *[push.length_m] * steps]).T
 
-    def _is_free(self, start_S2: Floats) -> NDArray[np.bool_]:
+    def _is_free(self, start_S2: Floats) -> Bools:
         """Starts at least the smallest clearance away from every cell of every object."""
         is_free_S = np.ones(len(start_S2), dtype=bool)
         limit_m = self.rod.radius_m + self.push.clearance_m[0] - 1e-9

@@ -1,9 +1,6 @@
 """Tracking by detection: data association, and coasting of objects that are not detected."""
 
-import numpy as np
-from numpy.typing import NDArray
-
-from oes.episode import Floats
+from oes.episode import Bools, Floats
 from oes.geom.assignment import assign
 
 
@@ -13,7 +10,7 @@ def update_tracks(
     detected_center_P3: Floats,
     detected_size_P3: Floats,
     gate_m: float,
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+) -> tuple[Floats, Floats, Bools]:
     """New centres N3, sizes N3 and a mask N of detected objects (metres, world).
 
     An object without a detection within ``gate_m`` of its predicted centre keeps its estimate.

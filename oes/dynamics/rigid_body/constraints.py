@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oes.dynamics.rigid_body.contact_manifold import MAX_POINTS, Ints, Manifold
+from oes.dynamics.rigid_body.contact_manifold import MAX_POINTS, Manifold
 from oes.dynamics.rigid_body.linalg import cross, dot
-from oes.episode import Floats
+from oes.episode import Floats, Ints
 from oes.jit import jit
 
 STEEP = 0.7  # a normal with a larger |z| takes its first tangent from the x axis, not the z axis

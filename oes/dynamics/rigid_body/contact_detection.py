@@ -11,13 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oes.dynamics.rigid_body.linalg import dot
-from oes.episode import Floats
+from oes.episode import Bools, Floats
 from oes.jit import jit
-
-Bools = NDArray[np.bool_]
 
 MAX_APPROACH_M = 0.01  # broad phase: bodies farther apart do not meet within a substep
 EPS_M = 1e-6

@@ -9,15 +9,12 @@ how pushed objects slip off the rod in Bullet.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oes.dynamics.rigid_body.linalg import cross, dot
-from oes.episode import Floats
+from oes.episode import Floats, Ints
 from oes.jit import jit
 
 MAX_POINTS = 4
-
-Ints = NDArray[np.int64]
 
 
 class Manifold(NamedTuple):

@@ -16,9 +16,9 @@ from oes.dynamics.rigid_body.constraints import (
     prepare_rows,
     world_inverse_inertia,
 )
-from oes.dynamics.rigid_body.contact_detection import Bodies, Bools
+from oes.dynamics.rigid_body.contact_detection import Bodies
 from oes.dynamics.rigid_body.contact_manifold import Manifold
-from oes.episode import Floats
+from oes.episode import Bools, Floats
 from oes.jit import jit
 
 ERP = 0.08  # share of a penetration corrected per substep (Baumgarte), PyBullet's default

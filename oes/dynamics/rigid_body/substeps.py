@@ -5,17 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oes.dynamics.rigid_body.contact_detection import (
-    Bodies,
-    Bools,
-    detect_pairs,
-    detect_rod,
-    detect_table,
-)
+from oes.dynamics.rigid_body.contact_detection import Bodies, detect_pairs, detect_rod, detect_table
 from oes.dynamics.rigid_body.contact_manifold import Manifold, update_manifold
 from oes.dynamics.rigid_body.linalg import dot
 from oes.dynamics.rigid_body.solver import solve_contacts
-from oes.episode import Floats
+from oes.episode import Bools, Floats
 from oes.jit import jit
 
 GRAVITY = 9.81

@@ -1,4 +1,4 @@
-"""How deep forecast objects stick in one another."""
+"""Penetration depth of forecast poses."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from oes.sim.simulate import EpisodesConfig, simulate
 from tests.blocks import make_catalogue
 
 
-def test_depth_is_how_far_a_surface_is_inside_a_solid(tmp_path: Path) -> None:
+def test_penetration_is_the_depth_of_a_surface_inside_a_solid(tmp_path: Path) -> None:
     """A block of 70 x 52.5 x 43.75 mm beside another body, at growing overlap along x, then above
     it.
     """

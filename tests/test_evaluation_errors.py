@@ -1,6 +1,4 @@
-"""Errors of forecasts that are known: perfect ones, none at all, and ones about a point beside the
-true centre.
-"""
+"""Errors of known forecasts: perfect, static, and about a point beside the true centre."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +11,7 @@ import trimesh
 from oes.config import load
 from oes.dynamics.reference_models import Simulator, Static
 from oes.episode import Episode, Floats
-from oes.evaluation.evaluate_forecasts import split_rows
+from oes.evaluation.evaluate_forecasts import MeshGeometry, error_rows
 from oes.evaluation.forecasters import (
     ModelForecaster,
     PerceivedScene,
@@ -22,6 +20,7 @@ from oes.evaluation.forecasters import (
     to_gt_objects,
     true_forecast,
 )
+from oes.evaluation.penetration import PenetrationMeter
 from oes.objects import Objects
 from oes.perception.objects_file import ObjectStore, Observation, pack, read_objects, write_objects
 from oes.perception.observations import ObjectsConfig
@@ -36,8 +35,11 @@ CFG = load(ROOT / "params.yaml", "rollouts", RolloutsConfig)
 SURFACES = {f"mesh_{i}": trimesh.creation.icosphere(2, 0.04).vertices for i in range(2)}
 
 
-class Apart:
-    """Nothing is ever in anything."""
+class NoPenetration(PenetrationMeter):
+    """A meter that finds no penetration."""
+
+    def __init__(self) -> None:
+        pass
 
     def depths_mm(self, episode: Episode, world_T_obj_TN44: Floats) -> Floats:
         return np.zeros(world_T_obj_TN44.shape[:2])
@@ -60,9 +62,7 @@ def make_scene(episode: Episode, truth: list[int], beside_m: float = 0.0) -> Per
 
 
 def motion_of(episode: Episode, scene: PerceivedScene) -> tuple[Floats, Floats]:
-    """What truly happened to the perceived points, in the order of perception; rest for a false
-    positive.
-    """
+    """True motion of the perceived points, in the order of perception; none for false positives."""
     center_N3 = scene.objects.center_N3.double().numpy()
     found = true_forecast(
         episode, center_N3[[scene.truth.index(i) for i in range(len(episode.bodies))]]
@@ -82,7 +82,7 @@ def motion_of(episode: Episode, scene: PerceivedScene) -> tuple[Floats, Floats]:
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("task", TASKS)
-def test_objects_are_seen_under_every_setting_that_is_scored(profile: str, task: str) -> None:
+def test_every_evaluated_setting_is_perceived(profile: str, task: str) -> None:
     cfg, draws = (
         load(ROOT / profile, "rollouts", RolloutsConfig),
         load(ROOT / profile, "objects", ObjectsConfig),
@@ -130,17 +130,16 @@ def store(tmp_path: Path) -> ObjectStore:
     return read_objects(tmp_path / "objects.safetensors")
 
 
-def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(
+def test_every_object_and_step_has_a_row_and_the_static_error_is_the_true_motion(
     store: ObjectStore,
 ) -> None:
     episode = make_episode(num_steps=6)
     rows = list(
-        split_rows(
+        error_rows(
             ModelForecaster(Static()),
             store,
             {0: episode},
-            SURFACES,
-            Apart(),
+            MeshGeometry(SURFACES, NoPenetration()),
             ("pushing", "static", "test1"),
             CFG,
         )
@@ -148,10 +147,10 @@ def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(
     assert len(rows) == 3 * 2 * 5
     true = true_forecast(episode, episode.steps[0].center_N3)
     for row in rows:
-        expected = 1e3 * np.linalg.norm(true.translation_TN3[row.T - 1, row.object_i])
-        assert row.translation_mm == pytest.approx(expected, abs=1e-3)
-    assert [row.detected for row in rows if row.T == 1] == [1, 1, 0, 1, 0, 0]
-    assert {(row.setting, row.num_views, row.num_objects) for row in rows} == {
+        expected = 1e3 * np.linalg.norm(true.translation_TN3[row["T"] - 1, row["object_i"]])
+        assert row["translation_mm"] == pytest.approx(expected, abs=1e-3)
+    assert [row["detected"] for row in rows if row["T"] == 1] == [1, 1, 0, 1, 0, 0]
+    assert {(row["setting"], row["num_views"], row["num_objects"]) for row in rows} == {
         ("1view_gt", 1, 2),
         ("1view_pred", 1, 2),
     }
@@ -160,12 +159,11 @@ def test_rows_count_every_object_and_step_and_static_errs_by_the_true_motion(
 def test_episodes_that_are_missing_are_skipped(store: ObjectStore) -> None:
     assert (
         list(
-            split_rows(
+            error_rows(
                 ModelForecaster(Static()),
                 store,
                 {},
-                SURFACES,
-                Apart(),
+                MeshGeometry(SURFACES, NoPenetration()),
                 ("pushing", "static", "test1"),
                 CFG,
             )
@@ -174,7 +172,7 @@ def test_episodes_that_are_missing_are_skipped(store: ObjectStore) -> None:
     )
 
 
-def test_the_simulator_foresees_the_truth_when_mass_and_friction_are_the_means(
+def test_the_simulator_reproduces_an_episode_whose_mass_and_friction_are_the_means(
     tmp_path: Path,
 ) -> None:
     catalogue = make_catalogue(tmp_path)

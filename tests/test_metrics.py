@@ -1,18 +1,15 @@
-"""Every figure here is worked out by hand."""
+"""Metrics and statistics against hand-computed values."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from oes.metrics.errors import (
-    Boxes,
-    average_precision,
+from oes.metrics.errors import Boxes, average_precision, rotation_deg, translation_mm
+from oes.metrics.statistics import (
     bootstrap_mean,
     bootstrap_ratio,
     mcnemar_exact,
-    rotation_deg,
     signed_rank,
-    translation_mm,
     wilson,
 )
 

@@ -1,4 +1,4 @@
-"""Errors and pictures of forecasts whose right answer is known."""
+"""Surface errors and film strips of known forecasts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,21 +11,28 @@ from scipy.spatial.transform import Rotation
 
 from oes.config import load
 from oes.episode import Episode
-from oes.evaluation.evaluate_forecasts import forecast_steps, sample_mesh_surfaces, strips
-from oes.evaluation.forecasters import Forecast, PerceivedScene, RolloutsConfig, true_forecast
+from oes.evaluation.evaluate_forecasts import mesh_geometry
+from oes.evaluation.filmstrips import render_filmstrips
+from oes.evaluation.forecasters import (
+    Forecast,
+    PerceivedScene,
+    RolloutsConfig,
+    forecast_steps,
+    true_forecast,
+)
 from oes.metrics.errors import surface_mm
 from oes.perception.objects_file import Observation, pack, read_objects, write_objects
 from oes.sim.simulate import EpisodesConfig, simulate
 from tests.blocks import make_catalogue
-from tests.test_rollout import make_scene
+from tests.test_evaluation_errors import make_scene
 
 CFG = load(Path("params.yaml"), "rollouts", RolloutsConfig)
 TRUTH = (torch.zeros(1, 6, 32), torch.zeros(1, 3))
 
 
 @dataclass(frozen=True)
-class Sure:
-    """Forecasts what happens, or that nothing does."""
+class KnownForecaster:
+    """Forecasts the true motion, or none."""
 
     is_right: bool
 
@@ -40,7 +47,7 @@ class Sure:
         return true if self.is_right else still
 
 
-def test_a_turned_cylinder_is_where_it_was_and_a_turned_box_is_not() -> None:
+def test_the_surface_error_ignores_the_rotation_of_a_cylinder_but_not_of_a_box() -> None:
     turn_33 = Rotation.from_euler("z", 45, degrees=True).as_matrix()
     cylinder, box = (
         trimesh.creation.cylinder(0.03, 0.08, sections=256),
@@ -56,16 +63,16 @@ def test_a_turned_cylinder_is_where_it_was_and_a_turned_box_is_not() -> None:
     assert found_mm[0] == 0 and found_mm[1] > 4.0 and found_mm[2] > 120.0
 
 
-def test_the_forecast_of_what_happened_looks_like_it(tmp_path: Path) -> None:
+def test_the_film_strip_of_a_perfect_forecast_shows_the_recorded_states(tmp_path: Path) -> None:
     catalogue = make_catalogue(tmp_path / "meshes")
     capture = load(Path("params.yaml"), "episodes", EpisodesConfig)
     episode = simulate(catalogue, capture, "pushing", "test1", 0)
-    (true,) = Sure(True)(
+    (true,) = KnownForecaster(True)(
         [PerceivedScene(0, 1, make_scene(episode, [0]).objects, [0])], {0: episode}
     )
     for step, again in zip(episode.steps, forecast_steps(episode, true), strict=True):
         np.testing.assert_allclose(again.world_T_obj_N44, step.world_T_obj_N44, atol=1e-9)
-    setting = CFG.strips.setting
+    setting = CFG.filmstrips.setting
     write_objects(
         tmp_path / "objects.safetensors",
         pack(
@@ -76,13 +83,14 @@ def test_the_forecast_of_what_happened_looks_like_it(tmp_path: Path) -> None:
         [setting],
     )
     store = read_objects(tmp_path / "objects.safetensors")
-    ((episode_i, right),) = strips(Sure(True), store, {0: episode}, catalogue, CFG)
-    ((_, wrong),) = strips(Sure(False), store, {0: episode}, catalogue, CFG)
-    side = CFG.strips.size_px
+    ((episode_i, right),) = render_filmstrips(
+        KnownForecaster(True), store, {0: episode}, catalogue, CFG
+    )
+    ((_, wrong),) = render_filmstrips(KnownForecaster(False), store, {0: episode}, catalogue, CFG)
+    side = CFG.filmstrips.size_px
     assert (episode_i, right.shape) == (0, (2 * side, 6 * side, 3))
     np.testing.assert_array_equal(right[:side], right[side:])
     assert (wrong[:side, -side:] != wrong[side:, -side:]).any()
-    assert {name: points.shape for name, points in sample_mesh_surfaces(catalogue, 50).items()} == {
-        "block": (50, 3),
-        "disc": (50, 3),
-    }
+    assert {
+        name: points.shape for name, points in mesh_geometry(catalogue, 50).surfaces.items()
+    } == {"block": (50, 3), "disc": (50, 3)}
