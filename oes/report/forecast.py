@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.metrics.errors import bootstrap_mean, bootstrap_ratio
+from oes.metrics.statistics import bootstrap_mean, bootstrap_ratio
 from oes.report.names import METRICS, MODELS, in_order
 from oes.report.paper import HORIZONS
 from oes.report.rows import Columns, select

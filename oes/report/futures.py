@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from oes.metrics.errors import bootstrap_mean
+from oes.metrics.statistics import bootstrap_mean
 from oes.report.names import BASELINE, MODELS, OURS, in_order
 from oes.report.rows import Columns, Kind, optional_float, read_columns, select
 from oes.report.table import Table, rounded

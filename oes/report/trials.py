@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.metrics.errors import mcnemar_exact, signed_rank, wilson
+from oes.metrics.statistics import mcnemar_exact, signed_rank, wilson
 from oes.report.names import MODELS, OURS, SCENARIOS, in_order
 from oes.report.paper import CONTROL
 from oes.report.rows import Columns, select
