@@ -1,6 +1,4 @@
-"""futures: forecasts drawn into the feature map and decoded, of scenes as they were and changed;
-held to the truth.
-"""
+"""futures: counterfactual forecasts, composed and decoded; errors against Bullet, and a gallery."""
 
 import shutil
 from pathlib import Path
@@ -8,20 +6,16 @@ from pathlib import Path
 import torch
 
 from oes.cli import run
-from oes.counterfactual.counterfactuals import EDIT_COLUMNS
-from oes.counterfactual.evaluate import CONSISTENCY_COLUMNS, RENDER_COLUMNS
-from oes.counterfactual.study import FUTURES_TABLES, FuturesConfig, FuturesRunner
+from oes.counterfactual.runner import FuturesConfig, FuturesRunner
 from oes.csv_io import write_csv
 from oes.dynamics.checkpoint import load_model
 from oes.meshes.catalogue import load_catalogue
 from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
+from oes.schema import FUTURES
 from oes.stage import publish, work_dir
 
 MODELS = ("oes", "graph_xyz")
-COLUMNS = dict(
-    zip(FUTURES_TABLES, (RENDER_COLUMNS, CONSISTENCY_COLUMNS, EDIT_COLUMNS), strict=True)
-)
 
 
 def main(
@@ -33,17 +27,17 @@ def main(
     dynamics: Path,
     out: Path,
 ) -> None:
-    """Write a CSV for each of ``FUTURES_TABLES`` and ``gallery/`` to ``out``."""
+    """Write a CSV for each of ``oes.schema.FUTURES`` and ``gallery/`` to ``out``."""
     with work_dir(out, (cfg, task, [meshes, episodes, perception, dynamics])) as work:
         progress, gallery = work / "progress", work / "gallery"
         for folder in (progress, gallery):
             folder.mkdir(exist_ok=True)
-        models = {word: load_model(dynamics / f"{task}-{word}") for word in MODELS}
+        models = {name: load_model(dynamics / f"{task}-{name}") for name in MODELS}
         perceiver = Perceiver.load(perception / "perception.safetensors", torch.device("cpu"))
         source = FrameSource(episodes / f"{task}-{cfg.splits[task]}")
-        study = FuturesRunner(cfg, task, load_catalogue(meshes), perceiver, source, models)
-        for name, rows in study.run(progress, gallery).items():
-            write_csv(work / f"{name}.csv", rows, COLUMNS[name])
+        runner = FuturesRunner(cfg, task, load_catalogue(meshes), perceiver, source, models)
+        for name, rows in runner.run(progress, gallery).items():
+            write_csv(work / f"{name}.csv", rows, FUTURES[name])
         shutil.rmtree(progress)
         publish(work, out)
 

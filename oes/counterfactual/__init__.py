@@ -1,3 +1,6 @@
-"""Seeing what dynamics forecasts: object features moved in the 3D map, decoded from any camera
-(paper 3.2, A).
+"""Counterfactual futures: edited scenes, forecast, rendered from any camera, and compared with
+Bullet (paper 3.2, 4 and A).
+
+May import perception, dynamics, evaluation, sim and render; not mpc or trials. Start with
+``edits`` (what is changed), then ``compose`` (how a forecast becomes a feature map) and ``runner``.
 """

@@ -1,11 +1,10 @@
-"""Scene synthesis: the features of each object, masked, moved and drawn over the scene without
-objects (paper 3.2).
+"""Scene composition: the feature map with its objects moved (paper 3.2).
 
-The paper's sum of Draw(Rotate(m) * Rotate(M), p): the map is resampled once, from where each
-voxel's content was at first, and where masks overlap they share the voxel.
+The paper sums Draw(Rotate(m) * Rotate(M), p) over objects. Here the map is resampled once, at the
+original position of each voxel's content. Overlapping objects share a voxel.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
@@ -17,20 +16,22 @@ from oes.perception.network import SceneFeatures
 from oes.perception.perceiver import Perceiver
 from oes.perception.rays import CLEAR_LOGIT, Field
 
-FLOOR_M = 0.0  # the table's top: nothing below belongs to an object
+TABLE_Z_M = 0.0  # voxels below belong to no object
 
 
 @dataclass(frozen=True)
 class DecomposedScene:
-    """One scene as first seen, taken apart: its map CXYZ, the same without objects, what surrounds
-    it, and for each of N objects its mask, a voxel wider than perceived, on ``window`` centred at
-    ``center_N3``.
+    """The feature map of the first state (channel 0: density logit), split into N objects and rest.
+
+    ``background_CXYZ``: the map with free space in place of the objects. ``far_field``: the content
+    outside ``grid``. ``mask_NXYZ``: occupancy on ``window`` centred at ``center_N3``, dilated by a
+    voxel.
     """
 
-    map: Tensor
-    bare: Tensor
+    map_CXYZ: Tensor
+    background_CXYZ: Tensor
     grid: Grid
-    backdrop: Field
+    far_field: Field
     mask_NXYZ: Tensor
     center_N3: Tensor
     window: Grid
@@ -38,90 +39,88 @@ class DecomposedScene:
 
 @dataclass(frozen=True)
 class PoseTable:
-    """What is drawn: for each of M drawn objects, which of the scene's N it looks like, its
-    rotation about its first centre and its displacement (world axes, since the first frame), and
-    its size over that at first.
+    """Poses of the N objects to compose.
+
+    ``source_N``: the object of the decomposed scene with this appearance. ``rotation_N33``: about
+    its first centre. ``translation_N3``: displacement since the first state (world, metres).
+    ``scale_N``: size relative to the first state.
     """
 
-    which_M: Tensor
-    rotation_M33: Tensor
-    translation_M3: Tensor
-    scale_M: Tensor
+    source_N: Tensor
+    rotation_N33: Tensor
+    translation_N3: Tensor
+    scale_N: Tensor
 
 
 def initial_poses(count: int) -> PoseTable:
-    """All objects where they were."""
-    return PoseTable(
-        torch.arange(count),
-        torch.eye(3).expand(count, 3, 3),
-        torch.zeros(count, 3),
-        torch.ones(count),
-    )
+    """All objects as in the first state."""
+    eye_N33 = torch.eye(3).expand(count, 3, 3)
+    return PoseTable(torch.arange(count), eye_N33, torch.zeros(count, 3), torch.ones(count))
 
 
-def forecast_poses(poses: PoseTable, rotation_M33: Tensor, translation_M3: Tensor) -> PoseTable:
-    """After drawn objects have turned about the centres they had in ``poses``, and shifted."""
-    return PoseTable(
-        poses.which_M,
-        rotation_M33 @ poses.rotation_M33,
-        poses.translation_M3 + translation_M3,
-        poses.scale_M,
+def forecast_poses(poses: PoseTable, rotation_N33: Tensor, translation_N3: Tensor) -> PoseTable:
+    """Poses after rotations about the centres in ``poses`` and translations."""
+    return replace(
+        poses,
+        rotation_N33=rotation_N33 @ poses.rotation_N33,
+        translation_N3=poses.translation_N3 + translation_N3,
     )
 
 
 @torch.inference_mode()
 def decompose(perceiver: Perceiver, scene: SceneFeatures, objects: Objects) -> DecomposedScene:
-    """Split one scene (B = 1) into its objects and the rest."""
-    near, backdrop = perceiver.fields(scene)
-    volume, grid, window = near.volume_BCXYZ[0], near.grid, perceiver.net.roi.window
-    mask_NXYZ = F.max_pool3d(
-        objects.crop_NCXYZ[:, 0].float().to(volume.device), 3, stride=1, padding=1
-    )
-    center_N3 = objects.center_N3.to(volume.device)
-    still = DecomposedScene(volume, volume, grid, backdrop, mask_NXYZ, center_N3, window)
+    """Split one scene (B = 1) into its objects and the background."""
+    near, far = perceiver.fields(scene)
+    map_CXYZ, grid, window = near.volume_BCXYZ[0], near.grid, perceiver.net.roi.window
+    mask_NXYZ = objects.crop_NCXYZ[:, 0].float().to(map_CXYZ.device)
+    mask_NXYZ = F.max_pool3d(mask_NXYZ, 3, stride=1, padding=1)
+    center_N3 = objects.center_N3.to(map_CXYZ.device)
+    whole = DecomposedScene(map_CXYZ, map_CXYZ, grid, far, mask_NXYZ, center_N3, window)
     if not len(center_N3):
-        return still
-    hole_XYZ = _weights(still, initial_poses(len(center_N3))).amax(0).reshape(grid.shape)
-    density = volume[0].lerp(volume[0].median(), hole_XYZ)  # most of the map is air
-    return DecomposedScene(**vars(still) | {"bare": torch.cat([density[None], volume[1:]])})
+        return whole
+    removed_XYZ = _weights(whole, initial_poses(len(center_N3))).amax(0).reshape(grid.shape)
+    # Most of the map is free space, so the median is its density logit.
+    density = map_CXYZ[0].lerp(map_CXYZ[0].median(), removed_XYZ)
+    return replace(whole, background_CXYZ=torch.cat([density[None], map_CXYZ[1:]]))
 
 
 @torch.inference_mode()
-def compose(still: DecomposedScene, poses: PoseTable) -> Field:
-    """The synthesised map (B = 1)."""
-    if not len(poses.which_M):
-        return Field(still.bare[None], still.grid)
-    weight_MP = _weights(still, poses)
-    where_Q = (weight_MP.amax(0) > 0).nonzero()[:, 0]  # objects fill little of the map
-    points_Q3 = centers(still.grid, still.map.device).reshape(-1, 3)[where_Q]
-    source_MQ3 = _sources(still, poses, points_Q3) + still.center_N3[poses.which_M][:, None]
-    moved_MQC = sample(still.map.expand(len(source_MQ3), -1, -1, -1, -1), still.grid, source_MQ3)
-    weight_MQ = weight_MP[:, where_Q]
-    total_Q = weight_MQ.sum(0)
-    drawn_CQ = torch.einsum("mq,mqc->cq", weight_MQ, moved_MQC) / total_Q.clamp(min=1)
-    made_CP = still.bare.flatten(1).clone()
-    made_CP[:, where_Q] = made_CP[:, where_Q] * (1 - total_Q.clamp(max=1)) + drawn_CQ
-    return Field(made_CP.reshape(1, *still.bare.shape), still.grid)
+def compose(scene: DecomposedScene, poses: PoseTable) -> Field:
+    """The feature map (B = 1) with the objects at ``poses``."""
+    if not len(poses.source_N):
+        return Field(scene.background_CXYZ[None], scene.grid)
+    weight_NP = _weights(scene, poses)
+    # Objects fill few voxels: features are sampled only there.
+    occupied_Q = (weight_NP.amax(0) > 0).nonzero()[:, 0]
+    points_Q3 = centers(scene.grid, scene.map_CXYZ.device).reshape(-1, 3)[occupied_Q]
+    origin_NQ3 = _origins(scene, poses, points_Q3) + scene.center_N3[poses.source_N][:, None]
+    maps = scene.map_CXYZ.expand(len(origin_NQ3), -1, -1, -1, -1)
+    moved_NQC = sample(maps, scene.grid, origin_NQ3)
+    weight_NQ = weight_NP[:, occupied_Q]
+    total_Q = weight_NQ.sum(0)
+    objects_CQ = torch.einsum("nq,nqc->cq", weight_NQ, moved_NQC) / total_Q.clamp(min=1)
+    result_CP = scene.background_CXYZ.flatten(1).clone()
+    free_Q = 1 - total_Q.clamp(max=1)
+    result_CP[:, occupied_Q] = result_CP[:, occupied_Q] * free_Q + objects_CQ
+    return Field(result_CP.reshape(1, *scene.background_CXYZ.shape), scene.grid)
 
 
-def _weights(still: DecomposedScene, poses: PoseTable) -> Tensor:
-    """How much of each map voxel belongs to each drawn object: MP."""
-    points = centers(still.grid, still.map.device).reshape(-1, 3)
-    masks = still.mask_NXYZ[poses.which_M][:, None]
-    weight = sample(masks, still.window, _sources(still, poses, points))[..., 0]
-    return weight * (points[:, 2] > FLOOR_M)
+def _weights(scene: DecomposedScene, poses: PoseTable) -> Tensor:
+    """Share of each object in each map voxel: NP."""
+    points = centers(scene.grid, scene.map_CXYZ.device).reshape(-1, 3)
+    masks = scene.mask_NXYZ[poses.source_N][:, None]
+    weight = sample(masks, scene.window, _origins(scene, poses, points))[..., 0]
+    return weight * (points[:, 2] > TABLE_Z_M)
 
 
-def _sources(still: DecomposedScene, poses: PoseTable, points_P3: Tensor) -> Tensor:
-    """Where the content of points came from, MP3, from its object's first centre."""
-    center_M3 = still.center_N3[poses.which_M] + poses.translation_M3
-    turned_back = (points_P3 - center_M3[:, None]) @ poses.rotation_M33
-    return turned_back / poses.scale_M[:, None, None]
+def _origins(scene: DecomposedScene, poses: PoseTable, points_P3: Tensor) -> Tensor:
+    """Original positions NP3 of the content of points, relative to the first centres."""
+    center_N3 = scene.center_N3[poses.source_N] + poses.translation_N3
+    rotated_back = (points_P3 - center_N3[:, None]) @ poses.rotation_N33
+    return rotated_back / poses.scale_N[:, None, None]
 
 
-def visible(near: Field) -> Tensor:
-    """What can be seen of each voxel, CXYZ: its opacity over one voxel's length, and its features
-    as far as opaque.
-    """
+def visible_features(near: Field) -> Tensor:
+    """Opacity over one voxel's length, and features times opacity: CXYZ."""
     opacity = 1 - torch.exp(-F.softplus(near.volume_BCXYZ[0, :1] - CLEAR_LOGIT))
     return torch.cat([opacity, opacity * near.volume_BCXYZ[0, 1:]])

@@ -1,6 +1,4 @@
-"""Counterfactuals: forecasts of scenes that were changed, held against Bullet from the same change
-(4, A.2).
-"""
+"""Counterfactuals: forecasts of edited scenarios, compared with Bullet's simulation (4, A.2)."""
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,86 +23,62 @@ from oes.sim.world import SimConfig
 log = logging.getLogger(__name__)
 
 UNEDITED = "none"
-EDIT_COLUMNS = (
-    "task",
-    "episode_i",
-    "edit",
-    "model",
-    "object_i",
-    "T",
-    "translation_mm",
-    "rotation_deg",
-    "detected",
-)
 
 
 @dataclass(frozen=True)
 class Counterfactual:
-    """A question of a kind, what came of it in the simulator, and what each model forecast."""
+    """A scenario, the type of its edit, its simulation and the forecasts of each model."""
 
-    kind: str
-    case: Scenario
-    happened: Episode
-    found: Mapping[str, ObjectMotion]
+    edit: str
+    scenario: Scenario
+    simulated: Episode
+    forecasts: Mapping[str, ObjectMotion]
 
 
-def run_counterfactual(
-    case: Scenario,
-    kinds: Sequence[str],
+def run_counterfactuals(
+    scenario: Scenario,
+    edits: Sequence[str],
     cfg: EditsConfig,
     window: Grid,
     rng: np.random.Generator,
     world: tuple[Catalogue, SimConfig, Mapping[str, DynamicsModel]],
 ) -> Iterator[Counterfactual]:
-    """The case as it was, then a change of each kind that has a place and can be simulated, and the
-    forecasts.
+    """The unedited scenario, then a random edit of each type, simulated and forecast.
 
-    ``world``: the catalogue, Bullet's settings and the models.
+    Edits that are not feasible or cannot be simulated are left out.
     """
     catalogue, sim, models = world
-    for kind in (UNEDITED, *kinds):
-        changed = case if kind == UNEDITED else draw_edit(kind, case, cfg, window, rng)
-        if changed is None:
+    yield Counterfactual(UNEDITED, scenario, scenario.episode, forecast_motions(scenario, models))
+    for edit in edits:
+        edited = draw_edit(edit, scenario, cfg, window, rng)
+        if edited is None:
             continue
         try:
-            happened = case.episode
-            if changed is not case:
-                happened = replay_bodies(catalogue, sim, changed.episode, changed.episode.bodies)
+            simulated = replay_bodies(catalogue, sim, edited.episode, edited.episode.bodies)
         except (ReachError, BulletError) as error:
-            log.warning(
-                "episode %d, %s: left out, as the simulator cannot: %s",
-                case.scene.episode_i,
-                kind,
-                error,
-            )
+            log.warning("episode %d: %s left out: %s", scenario.scene.episode_i, edit, error)
             continue
-        yield Counterfactual(kind, changed, happened, forecast_motions(changed, models))
+        yield Counterfactual(edit, edited, simulated, forecast_motions(edited, models))
 
 
-def edit_rows(answer: Counterfactual, times: Sequence[int]) -> Iterator[FutureRow]:
-    """Errors of each model and true object at each time; one that was not detected is forecast to
-    stay.
-    """
-    case, happened = answer.case, answer.happened
-    true = true_forecast(happened, case.episode.steps[0].center_N3)
-    about: FutureRow = {
-        "task": happened.task,
-        "episode_i": case.scene.episode_i,
-        "edit": answer.kind,
-    }
-    for word, motion in answer.found.items():
+def edit_rows(counterfactual: Counterfactual, horizons: Sequence[int]) -> Iterator[FutureRow]:
+    """Errors per model, true object and horizon (steps); undetected objects count as static."""
+    scenario, simulated = counterfactual.scenario, counterfactual.simulated
+    true = true_forecast(simulated, scenario.episode.steps[0].center_N3)
+    for name, motion in counterfactual.forecasts.items():
         arrays = (motion.translation_TN3.double().numpy(), motion.rotation_TN33.double().numpy())
-        found = to_gt_objects(case.scene, case.episode, *arrays)
-        error_mm_TN = translation_mm(found.translation_TN3, true.translation_TN3)
-        error_deg_TN = rotation_deg(found.rotation_TN33, true.rotation_TN33)
-        for object_i, T in np.ndindex(len(found.detected_N), len(times)):
-            at = times[T] - 1
+        forecast = to_gt_objects(scenario.scene, scenario.episode, *arrays)
+        error_mm_TN = translation_mm(forecast.translation_TN3, true.translation_TN3)
+        error_deg_TN = rotation_deg(forecast.rotation_TN33, true.rotation_TN33)
+        for object_i, T in ((i, T) for i in range(len(forecast.detected_N)) for T in horizons):
             yield {
-                **about,
-                "model": word,
+                "task": simulated.task,
+                "episode_i": scenario.scene.episode_i,
+                "edit": counterfactual.edit,
+                "model": name,
                 "object_i": object_i,
-                "T": times[T],
-                "translation_mm": round(float(error_mm_TN[at, object_i]), 4),
-                "rotation_deg": round(float(error_deg_TN[at, object_i]), 4),
-                "detected": int(found.detected_N[object_i]),
+                "T": T,
+                "translation_mm": round(float(error_mm_TN[T - 1, object_i]), 4),
+                "rotation_deg": round(float(error_deg_TN[T - 1, object_i]), 4),
+                "detected": int(forecast.detected_N[object_i]),
             }

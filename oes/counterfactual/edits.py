@@ -1,8 +1,8 @@
-"""What if: a scene changed before it is simulated, alike in what Bullet is told and in what was
-perceived (A.2).
+"""Edits of a scenario before it is simulated (A.2).
+
+Every edit changes the initial state given to Bullet and the perceived objects alike.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,248 +15,219 @@ from oes.episode import Body, Episode, Floats, Step
 from oes.evaluation.forecasters import PerceivedScene
 from oes.geom.se3 import rotation_z
 from oes.geom.voxels import Grid, centers, sample
-from oes.objects import Objects
+from oes.objects import Objects, map_tensors
 from oes.perception.surface import scale_profiles
+
+EDIT_TYPES = ("move", "resize", "remove", "add", "push")
 
 
 @params
 class EditsConfig:
-    """How far an object is moved, and a copy of it put; its new sizes over the old; by how much
-    pushes are turned (to either side); and what must stay free: ``gap_m`` around objects and rod,
-    all beyond ``rim_m`` of the middle.
+    """Ranges of random edits.
+
+    ``move_m``: distance of a moved object. ``add_m``: distance of a copy from its original.
+    ``scale_factors``: sizes relative to the original. ``turn_deg``: turn of pushes, either way.
+    ``gap_m``: free space around edited objects and rod. ``rim_m``: largest |x| and |y| of objects.
+    ``max_attempts``: samples until an edit is feasible.
     """
 
     move_m: tuple[float, float]
     add_m: tuple[float, float]
-    factors: tuple[float, ...]
+    scale_factors: tuple[float, ...]
     turn_deg: tuple[float, float]
     gap_m: float
     rim_m: float
-    attempts: int
+    max_attempts: int
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A question: the start and actions of an episode (its later states are not true of it), what
-    was perceived, and how the perceived objects are drawn at first.
+    """Initial state and actions of an episode, the perceived objects, and their poses to compose.
+
+    The later states of ``episode`` are those of the unedited episode. ``label`` names the edit.
     """
 
-    words: str
+    label: str
     episode: Episode
     scene: PerceivedScene
     poses: PoseTable
 
 
-def move_object(case: Scenario, i: int, shift_3: Floats) -> Scenario:
-    """The perceived object ``i`` stands elsewhere, and so does the true one that it was matched to,
-    if any.
-    """
-    true_i, first = case.scene.truth[i], case.episode.steps[0]
+def move_object(scenario: Scenario, i: int, shift_3: Floats) -> Scenario:
+    """Shift the perceived object ``i``, and the true object matched to it if any (metres)."""
+    true_i, first = scenario.scene.truth[i], scenario.episode.steps[0]
     world_T_obj_N44, center_N3 = first.world_T_obj_N44.copy(), first.center_N3.copy()
     if true_i >= 0:
         world_T_obj_N44[true_i, :3, 3] += shift_3
         center_N3[true_i] += shift_3
     shift = torch.from_numpy(shift_3).float()
-    objects, poses = case.scene.objects, case.poses
-    objects = replace(objects, center_N3=_added(objects.center_N3, i, shift))
-    poses = replace(poses, translation_M3=_added(poses.translation_M3, i, shift))
+    objects, poses = scenario.scene.objects, scenario.poses
+    objects = replace(objects, center_N3=_row_added(objects.center_N3, i, shift))
+    poses = replace(poses, translation_N3=_row_added(poses.translation_N3, i, shift))
     first = replace(first, world_T_obj_N44=world_T_obj_N44, center_N3=center_N3)
-    return _changed(case, case.episode.bodies, first, objects, poses)
+    return _edited(scenario, scenario.episode.bodies, first, objects, poses)
 
 
-def resize_object(case: Scenario, i: int, factor: float, window: Grid) -> Scenario:
-    """The perceived object ``i``, matched to a true one, is larger or smaller by a factor, on the
-    same spot.
-    """
-    true_i, first = case.scene.truth[i], case.episode.steps[0]
-    spot_3 = first.center_N3[true_i] * [1, 1, 0]
-    world_T_obj_N44, center_N3, size_N3 = (
-        x.copy() for x in (first.world_T_obj_N44, first.center_N3, first.size_N3)
-    )
-    for place_3 in (world_T_obj_N44[true_i, :3, 3], center_N3[true_i]):
-        place_3[:] = spot_3 + factor * (place_3 - spot_3)
+def resize_object(scenario: Scenario, i: int, factor: float, window: Grid) -> Scenario:
+    """Scale the perceived object ``i`` and its true object about their base on the table."""
+    true_i, first = scenario.scene.truth[i], scenario.episode.steps[0]
+    base_3 = first.center_N3[true_i] * [1, 1, 0]
+    world_T_obj_N44, center_N3 = first.world_T_obj_N44.copy(), first.center_N3.copy()
+    for position_3 in (world_T_obj_N44[true_i, :3, 3], center_N3[true_i]):
+        position_3[:] = base_3 + factor * (position_3 - base_3)
+    size_N3 = first.size_N3.copy()
     size_N3[true_i] *= factor
-    bodies = list(case.episode.bodies)
+    bodies = list(scenario.episode.bodies)
     bodies[true_i] = replace(bodies[true_i], scale_3=bodies[true_i].scale_3 * factor)
-    objects, poses = case.scene.objects, case.poses
-    up = torch.tensor([0, 0, float(objects.center_N3[i, 2]) * (factor - 1)])
-    changed = {name: value.clone() for name, value in vars(objects).items()}
-    points = (centers(window) / factor).reshape(1, -1, 3)
-    crop_CXYZ = changed["crop_NCXYZ"][i]
-    changed["crop_NCXYZ"][i] = sample(crop_CXYZ[None].float(), window, points)[0].T.reshape(
-        crop_CXYZ.shape
-    )
-    changed["radial_profile_NRD3"][i] = scale_profiles(objects.radial_profile_NRD3[i], factor)
-    for name in ("size_N3", "com_offset_N3"):
-        changed[name][i] *= factor
-    changed["center_N3"][i] += up
-    objects = Objects(**changed)
-    scale_M = poses.scale_M.clone()
-    scale_M[i] *= factor
-    poses = replace(poses, translation_M3=_added(poses.translation_M3, i, up), scale_M=scale_M)
     first = replace(first, world_T_obj_N44=world_T_obj_N44, center_N3=center_N3, size_N3=size_N3)
-    return _changed(case, tuple(bodies), first, objects, poses)
+    objects, up = _resized(scenario.scene.objects, i, factor, window)
+    scale_N = scenario.poses.scale_N.clone()
+    scale_N[i] *= factor
+    translation_N3 = _row_added(scenario.poses.translation_N3, i, up)
+    poses = replace(scenario.poses, translation_N3=translation_N3, scale_N=scale_N)
+    return _edited(scenario, tuple(bodies), first, objects, poses)
 
 
-def remove_object(case: Scenario, i: int) -> Scenario:
-    """The perceived object ``i``, matched to a true one, is not there."""
-    true_i = case.scene.truth[i]
-    left = [n for n in range(len(case.scene.truth)) if n != i]
-    others = [n for n in range(len(case.episode.bodies)) if n != true_i]
-    truth = [n - (n > true_i) for n in (case.scene.truth[k] for k in left)]
-    return _chosen(replace(case, scene=replace(case.scene, truth=truth)), left, others)
+def _resized(objects: Objects, i: int, factor: float, window: Grid) -> tuple[Objects, Tensor]:
+    """Objects with one scaled about its base, and the shift of its centre."""
+    up = torch.tensor([0, 0, float(objects.center_N3[i, 2]) * (factor - 1)])
+    changed = map_tensors(objects, torch.clone)
+    crop_CXYZ = objects.crop_NCXYZ[i]
+    points_1P3 = (centers(window) / factor).reshape(1, -1, 3)
+    crop_PC = sample(crop_CXYZ[None].float(), window, points_1P3)[0]
+    changed.crop_NCXYZ[i] = crop_PC.T.reshape(crop_CXYZ.shape)
+    changed.radial_profile_NRD3[i] = scale_profiles(objects.radial_profile_NRD3[i], factor)
+    changed.size_N3[i] *= factor
+    changed.com_offset_N3[i] *= factor
+    changed.center_N3[i] += up
+    return changed, up
 
 
-def add_object(case: Scenario, i: int, shift_3: Floats) -> Scenario:
-    """A second object like the perceived ``i``, matched to a true one, stands at a displacement
-    from it.
-    """
-    count, found = len(case.episode.bodies), len(case.scene.truth)
-    scene = replace(case.scene, truth=[*case.scene.truth, count])
-    twice = _chosen(
-        replace(case, scene=scene), [*range(found), i], [*range(count), case.scene.truth[i]]
-    )
-    return move_object(twice, found, shift_3)
+def remove_object(scenario: Scenario, i: int) -> Scenario:
+    """Remove the perceived object ``i`` and its true object."""
+    scene, true_i = scenario.scene, scenario.scene.truth[i]
+    left = [n for n in range(len(scene.truth)) if n != i]
+    others = [n for n in range(len(scenario.episode.bodies)) if n != true_i]
+    truth = [n - (n > true_i) for n in (scene.truth[k] for k in left)]
+    return _selected(scenario, truth, left, others)
 
 
-def restart_scene(case: Scenario, shift_3: Floats) -> Scenario:
-    """The rod starts elsewhere."""
-    first = case.episode.steps[0]
-    first = replace(first, tip_world_3=first.tip_world_3 + shift_3)
-    return replace(case, episode=replace(case.episode, steps=(first, *case.episode.steps[1:])))
+def add_object(scenario: Scenario, i: int, shift_3: Floats) -> Scenario:
+    """Add a copy of the perceived object ``i`` and its true object at a displacement."""
+    truth, count = scenario.scene.truth, len(scenario.episode.bodies)
+    perceived, true = [*range(len(truth)), i], [*range(count), truth[i]]
+    return move_object(_selected(scenario, [*truth, count], perceived, true), len(truth), shift_3)
 
 
-def redirect_push(case: Scenario, turn_rad: float) -> Scenario:
-    """The rod starts where it did and goes another way, turned about the vertical."""
-    return replace(
-        case,
-        episode=replace(case.episode, actions_T3=case.episode.actions_T3 @ rotation_z(turn_rad).T),
-    )
+def shift_rod(scenario: Scenario, shift_3: Floats) -> Scenario:
+    """Start the rod elsewhere."""
+    steps = scenario.episode.steps
+    first = replace(steps[0], tip_world_3=steps[0].tip_world_3 + shift_3)
+    return replace(scenario, episode=replace(scenario.episode, steps=(first, *steps[1:])))
 
 
-def _added(values: Tensor, i: int, change: Tensor) -> Tensor:
-    """The same values, but for one row."""
+def redirect_push(scenario: Scenario, turn_rad: float) -> Scenario:
+    """Turn the actions about the vertical through the rod's start."""
+    actions_T3 = scenario.episode.actions_T3 @ rotation_z(turn_rad).T
+    return replace(scenario, episode=replace(scenario.episode, actions_T3=actions_T3))
+
+
+def _row_added(values: Tensor, i: int, change: Tensor) -> Tensor:
     changed = values.clone()
     changed[i] += change
     return changed
 
 
-def _chosen(case: Scenario, perceived: list[int], true: list[int]) -> Scenario:
-    """Some of the perceived and of the true objects, in this order, some more than once."""
-    objects = Objects(
-        **{name: value[perceived] for name, value in vars(case.scene.objects).items()}
-    )
-    poses = PoseTable(**{name: value[perceived] for name, value in vars(case.poses).items()})
-    first = case.episode.steps[0]
+def _selected(
+    scenario: Scenario, truth: list[int], perceived: list[int], true: list[int]
+) -> Scenario:
+    """Keep the given perceived and true objects, in this order, some twice.
+
+    ``truth`` are the new matches of the perceived objects.
+    """
+    scenario = replace(scenario, scene=replace(scenario.scene, truth=truth))
+    objects = map_tensors(scenario.scene.objects, lambda x: x[perceived])
+    poses = map_tensors(scenario.poses, lambda x: x[perceived])
+    first = scenario.episode.steps[0]
     first = replace(
         first,
         world_T_obj_N44=first.world_T_obj_N44[true],
         center_N3=first.center_N3[true],
         size_N3=first.size_N3[true],
     )
-    return _changed(case, tuple(case.episode.bodies[n] for n in true), first, objects, poses)
+    bodies = tuple(scenario.episode.bodies[n] for n in true)
+    return _edited(scenario, bodies, first, objects, poses)
 
 
-def _changed(
-    case: Scenario, bodies: tuple[Body, ...], first: Step, objects: Objects, poses: PoseTable
+def _edited(
+    scenario: Scenario, bodies: tuple[Body, ...], first: Step, objects: Objects, poses: PoseTable
 ) -> Scenario:
-    """With another first state."""
-    episode = replace(case.episode, bodies=bodies, steps=(first, *case.episode.steps[1:]))
-    return replace(case, episode=episode, scene=replace(case.scene, objects=objects), poses=poses)
+    steps = (first, *scenario.episode.steps[1:])
+    episode = replace(scenario.episode, bodies=bodies, steps=steps)
+    scene = replace(scenario.scene, objects=objects)
+    return replace(scenario, episode=episode, scene=scene, poses=poses)
 
 
 def draw_edit(
-    kind: str, case: Scenario, cfg: EditsConfig, window: Grid, rng: np.random.Generator
+    edit: str, scenario: Scenario, cfg: EditsConfig, window: Grid, rng: np.random.Generator
 ) -> Scenario | None:
-    """A random change of a kind (see ``EDIT_SAMPLERS``), told in words; None where no place was
-    found for it.
-    """
-    known = [i for i, true_i in enumerate(case.scene.truth) if true_i >= 0]
-    for _ in range(cfg.attempts if known else 0):
-        found = EDIT_SAMPLERS[kind](case, known[int(rng.integers(len(known)))], cfg, window, rng)
-        if found is not None:
-            return found
+    """A random edit of one of ``EDIT_TYPES``, labelled; None if no attempt is feasible."""
+    matched = [i for i, true_i in enumerate(scenario.scene.truth) if true_i >= 0]
+    for _ in range(cfg.max_attempts if matched else 0):
+        i = matched[int(rng.integers(len(matched)))]
+        edited, true_i = _attempt(edit, scenario, i, cfg, window, rng)
+        if edited is not None and (true_i is None or _is_free(edited, true_i, cfg)):
+            return edited
     return None
 
 
-EditSampler = Callable[[Scenario, int, EditsConfig, Grid, np.random.Generator], Scenario | None]
+def _attempt(
+    edit: str, scenario: Scenario, i: int, cfg: EditsConfig, window: Grid, rng: np.random.Generator
+) -> tuple[Scenario | None, int | None]:
+    """A random edit of perceived object ``i``, and the true object whose place must be free."""
+    true_i: int | None = scenario.scene.truth[i]
+    if edit == "move":
+        shift_3 = _shift(cfg.move_m, rng)
+        edited = move_object(scenario, i, shift_3)
+        label = f"one moved by {np.linalg.norm(shift_3) * 100:.0f} cm"
+    elif edit == "resize":
+        factor = float(rng.choice(cfg.scale_factors))
+        edited, label = resize_object(scenario, i, factor, window), f"one {factor:g} times as large"
+        true_i = None if factor < 1 else true_i
+    elif edit == "remove":
+        if len(scenario.episode.bodies) == 1:
+            return None, None
+        edited, label, true_i = remove_object(scenario, i), "one taken away", None
+    elif edit == "add":
+        shift_3, true_i = _shift(cfg.add_m, rng), len(scenario.episode.bodies)
+        edited = add_object(scenario, i, shift_3)
+        label = f"another, {np.linalg.norm(shift_3) * 100:.0f} cm away"
+    else:
+        turn_deg = float(rng.uniform(*cfg.turn_deg) * rng.choice([-1, 1]))
+        edited, true_i = redirect_push(scenario, np.radians(turn_deg)), None
+        side = "left" if turn_deg > 0 else "right"
+        label = f"pushed {abs(turn_deg):.0f} degrees further {side}"
+    return replace(edited, label=label), true_i
 
 
-def _move(
-    case: Scenario, i: int, cfg: EditsConfig, window: Grid, rng: np.random.Generator
-) -> Scenario | None:
-    shift_3 = _shift(cfg.move_m, rng)
-    found = replace(
-        move_object(case, i, shift_3), words=f"one moved by {np.linalg.norm(shift_3) * 100:.0f} cm"
+def _shift(distance_m: tuple[float, float], rng: np.random.Generator) -> Floats:
+    angle, distance = rng.uniform(0, 2 * np.pi), rng.uniform(*distance_m)
+    return distance * np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def _is_free(scenario: Scenario, true_i: int, cfg: EditsConfig) -> bool:
+    """Whether a true object's upright cylinder is clear of the others and the rod, on the table."""
+    first = scenario.episode.steps[0]
+    xy_N2, z_N = first.center_N3[:, :2], first.center_N3[:, 2]
+    radius_N, half_height_N = (
+        np.linalg.norm(first.size_N3[:, :2], axis=1) / 2,
+        first.size_N3[:, 2] / 2,
     )
-    return found if _is_free(found, case.scene.truth[i], cfg) else None
-
-
-def _resize(
-    case: Scenario, i: int, cfg: EditsConfig, window: Grid, rng: np.random.Generator
-) -> Scenario | None:
-    factor = float(rng.choice(cfg.factors))
-    found = replace(resize_object(case, i, factor, window), words=f"one {factor:g} times as large")
-    return found if factor < 1 or _is_free(found, case.scene.truth[i], cfg) else None
-
-
-def _remove(
-    case: Scenario, i: int, cfg: EditsConfig, window: Grid, rng: np.random.Generator
-) -> Scenario | None:
-    return (
-        replace(remove_object(case, i), words="one taken away")
-        if len(case.episode.bodies) > 1
-        else None
-    )
-
-
-def _add(
-    case: Scenario, i: int, cfg: EditsConfig, window: Grid, rng: np.random.Generator
-) -> Scenario | None:
-    shift_3 = _shift(cfg.add_m, rng)
-    found = replace(
-        add_object(case, i, shift_3), words=f"another, {np.linalg.norm(shift_3) * 100:.0f} cm away"
-    )
-    return found if _is_free(found, len(case.episode.bodies), cfg) else None
-
-
-def _redirect(
-    case: Scenario, i: int, cfg: EditsConfig, window: Grid, rng: np.random.Generator
-) -> Scenario | None:
-    turn_deg = float(rng.uniform(*cfg.turn_deg) * rng.choice([-1, 1]))
-    side = "left" if turn_deg > 0 else "right"
-    return replace(
-        redirect_push(case, np.radians(turn_deg)),
-        words=f"pushed {abs(turn_deg):.0f} degrees further {side}",
-    )
-
-
-EDIT_SAMPLERS: dict[str, EditSampler] = {
-    "move": _move,
-    "resize": _resize,
-    "remove": _remove,
-    "add": _add,
-    "push": _redirect,
-}
-
-
-def _shift(lengths_m: tuple[float, float], rng: np.random.Generator) -> Floats:
-    angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(*lengths_m)
-    return length * np.array([np.cos(angle), np.sin(angle), 0.0])
-
-
-def _is_free(case: Scenario, true_i: int, cfg: EditsConfig) -> bool:
-    """Whether a true object's upright cylinder touches no other's and not the rod, and stands over
-    the table.
-    """
-    first = case.episode.steps[0]
-    middle_N2, radius_N = first.center_N3[:, :2], np.linalg.norm(first.size_N3[:, :2], axis=1) / 2
-    aside_N = np.linalg.norm(middle_N2 - middle_N2[true_i], axis=1) - radius_N - radius_N[true_i]
-    height_N, level_N = first.size_N3[:, 2] / 2, first.center_N3[:, 2]
-    away_N = np.maximum(aside_N, np.abs(level_N - level_N[true_i]) - height_N - height_N[true_i])
-    away_N[true_i] = np.inf
-    to_rod = np.linalg.norm(first.tip_world_3[:2] - middle_N2[true_i]) - radius_N[true_i]
-    is_apart = (
-        away_N > cfg.gap_m
-    ).all() and not to_rod < 2 * cfg.gap_m  # without a robot the tip is NaN
-    return bool(is_apart and (np.abs(middle_N2[true_i]) + radius_N[true_i] < cfg.rim_m).all())
+    lateral_N = np.linalg.norm(xy_N2 - xy_N2[true_i], axis=1) - radius_N - radius_N[true_i]
+    vertical_N = np.abs(z_N - z_N[true_i]) - half_height_N - half_height_N[true_i]
+    gap_N = np.maximum(lateral_N, vertical_N)
+    gap_N[true_i] = np.inf
+    to_rod = np.linalg.norm(first.tip_world_3[:2] - xy_N2[true_i]) - radius_N[true_i]
+    # Without a robot the tip is NaN, and no comparison with it holds.
+    is_clear = (gap_N > cfg.gap_m).all() and not to_rod < 2 * cfg.gap_m
+    return bool(is_clear and (np.abs(xy_N2[true_i]) + radius_N[true_i] < cfg.rim_m).all())

@@ -1,186 +1,142 @@
-"""Imagined futures held against what came: as pictures, as features, and seen again from several
-sides (A.1).
-"""
+"""Evaluation of composed futures: as images, as features, and by detection from several views."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from oes.counterfactual.compose import DecomposedScene, compose, visible
+from oes.counterfactual.compose import DecomposedScene, compose, visible_features
 from oes.counterfactual.edits import Scenario
 from oes.counterfactual.forecast import ObjectMotion
-from oes.episode import SEG_FIRST_OBJECT, SEG_ROBOT, Camera, Episode, Floats, Frames
-from oes.episodes.capture import scene_renderer
+from oes.episode import SEG_FIRST_OBJECT, SEG_ROBOT, Bools, Camera, Episode, Floats, Frames
 from oes.geom.voxels import Grid, centers
-from oes.meshes.catalogue import Catalogue
 from oes.perception.evaluate import match_detections, picture_quality
 from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
+from oes.render.renderer import Renderer
 from oes.render.scene import mesh_poses
-from oes.sim.world import SimConfig
 
 PHOTOGRAPH, ENCODED = "photograph", "encoded"
 FutureRow = dict[str, float | int | str | None]
-Bools = NDArray[np.bool_]
-RENDER_COLUMNS = (
-    "task",
-    "episode_i",
-    "T",
-    "source",
-    "psnr_db",
-    "ssim",
-    "objects_psnr_db",
-    "feature_error",
-)
-CONSISTENCY_COLUMNS = (
-    "task",
-    "episode_i",
-    "T",
-    "source",
-    "object_i",
-    "views_found",
-    "centre_mm",
-    "spread_mm",
-)
 
 
 class FutureEvaluator:
-    """Looks at one episode's future states, as they were and as they are imagined, through some of
-    its cameras.
-    """
+    """Compares composed futures of one unedited episode with the recorded ones."""
 
     def __init__(
         self,
         perceiver: Perceiver,
         source: FrameSource,
-        case: Scenario,
+        scenario: Scenario,
         camera_is: tuple[int, Sequence[int]],
     ) -> None:
-        """``camera_is``: the camera of the first photograph, and those to look through."""
-        self.perceiver, self.source, self.case = perceiver, source, case
-        self.episode, self.episode_i = case.episode, case.scene.episode_i
+        """``camera_is``: the input camera, and the cameras to render."""
+        self.perceiver, self.source, self.scenario = perceiver, source, scenario
+        self.episode, self.episode_i = scenario.episode, scenario.scene.episode_i
         self.input_i, self.query_is = camera_is
 
     def renders(
         self,
-        still: DecomposedScene,
-        imagined: Mapping[str, ObjectMotion],
+        scene: DecomposedScene,
+        motions: Mapping[str, ObjectMotion],
         T: int,
-        catalogue: Catalogue,
-        sim: SimConfig,
+        renderer: Renderer,
     ) -> Iterator[FutureRow]:
-        """A row per motion at T, and one for the map encoded from the true photograph at T
-        (``encoded``).
+        """Image and feature errors at T per motion, and of the map encoded from the image at T.
+
+        Image errors of objects count the pixels of an object now or in the first state, unless the
+        robot covers them then, as its features do not move. ``renderer`` is the episode's.
         """
         frames, cameras = self.source.read(self.episode_i, T, self.query_is)
-        shown_VHW = self._objects_shown(T, frames, cameras, catalogue, sim)
-        fields = self.perceiver.fields(
-            self.perceiver.encode(*self.source.read(self.episode_i, T, [self.input_i]))
-        )
-        near_XYZ = _inside_hulls(self.episode, T, fields[0].grid)
-        true_features = visible(fields[0])[:, near_XYZ]
-        views = {
-            word: (compose(still, motion.poses(self.case.poses, T)), still.backdrop)
-            for word, motion in imagined.items()
+        initial = renderer.render(mesh_poses(self.episode.steps[0]), cameras)
+        segs = (frames.seg_VHW, initial.seg_VHW)
+        is_object = (segs[0] >= SEG_FIRST_OBJECT) | (segs[1] >= SEG_FIRST_OBJECT)
+        is_robot = (segs[0] == SEG_ROBOT) | (segs[1] == SEG_ROBOT)
+        images = self.source.read(self.episode_i, T, [self.input_i])
+        encoded = self.perceiver.fields(self.perceiver.encode(*images))
+        in_box_XYZ = _in_boxes(self.episode, T, encoded[0].grid)
+        true_features = visible_features(encoded[0])[:, in_box_XYZ]
+        fields = {
+            name: (compose(scene, motion.poses(self.scenario.poses, T)), scene.far_field)
+            for name, motion in motions.items()
         }
-        for word, (near, backdrop) in {**views, ENCODED: fields}.items():
-            made = self.perceiver.look(near, backdrop, cameras)
-            error = (visible(near)[:, near_XYZ] - true_features).norm() / true_features.norm()
+        for name, (near, far) in {**fields, ENCODED: encoded}.items():
+            rendered = self.perceiver.look(near, far, cameras)
+            error = (visible_features(near)[:, in_box_XYZ] - true_features).norm()
             yield {
-                **self._about(T, word),
-                **_qualities(made, frames, shown_VHW),
-                "feature_error": round(float(error), 4),
+                **self._keys(T, name),
+                **_image_errors(rendered, frames, is_object & ~is_robot),
+                "feature_error": round(float(error / true_features.norm()), 4),
             }
 
     def consistency(
-        self, still: DecomposedScene, word: str, motion: ObjectMotion, T: int
+        self, scene: DecomposedScene, name: str, motion: ObjectMotion, T: int
     ) -> Iterator[FutureRow]:
-        """A row per drawn object: where one rendered view at a time says that it is."""
-        poses = motion.poses(self.case.poses, T)
+        """Detections of each composed object in one rendered view at a time."""
+        poses = motion.poses(self.scenario.poses, T)
         _, cameras = self.source.read(self.episode_i, T, self.query_is)
-        made = self.perceiver.look(compose(still, poses), still.backdrop, cameras)
-        drawn_N3 = (still.center_N3[poses.which_M] + poses.translation_M3).double().numpy()
-        yield from self._found_again(T, word, made, cameras, drawn_N3)
+        frames = self.perceiver.look(compose(scene, poses), scene.far_field, cameras)
+        center_N3 = (scene.center_N3[poses.source_N] + poses.translation_N3).double().numpy()
+        yield from self._detection_rows(T, name, frames, cameras, center_N3)
 
-    def photographs(self, T: int) -> Iterator[FutureRow]:
-        """The same of true photographs and objects: what detection alone leaves of consistency."""
+    def detector_baseline(self, T: int) -> Iterator[FutureRow]:
+        """The same for recorded images and true objects: the detector's share of the error."""
         frames, cameras = self.source.read(self.episode_i, T, self.query_is)
-        yield from self._found_again(
-            T, PHOTOGRAPH, frames, cameras, self.episode.steps[T].center_N3
-        )
+        center_N3 = self.episode.steps[T].center_N3
+        yield from self._detection_rows(T, PHOTOGRAPH, frames, cameras, center_N3)
 
-    def _found_again(
-        self, T: int, word: str, frames: Frames, cameras: Sequence[Camera], true_N3: Floats
+    def _detection_rows(
+        self, T: int, name: str, frames: Frames, cameras: Sequence[Camera], center_N3: Floats
     ) -> Iterator[FutureRow]:
-        places: list[list[Floats]] = [[] for _ in true_N3]
+        detections: list[list[Floats]] = [[] for _ in center_N3]
         for view_i, camera in enumerate(cameras):
-            scene = self.perceiver.encode(frames.of([view_i]), [camera])
-            found_M3 = self.perceiver.detect(scene)[0].double().cpu().numpy()
-            for place_3, true_i in zip(found_M3, match_detections(found_M3, true_N3), strict=True):
-                if true_i >= 0:
-                    places[true_i].append(place_3)
-        for object_i, (place_V3, true_3) in enumerate(zip(places, true_N3, strict=True)):
-            away = [float(np.linalg.norm(place_3 - true_3)) * 1e3 for place_3 in place_V3]
-            apart = [float(np.linalg.norm(a - b)) * 1e3 for a, b in combinations(place_V3, 2)]
+            features = self.perceiver.encode(frames.of([view_i]), [camera])
+            detected_P3 = self.perceiver.detect(features)[0].double().cpu().numpy()
+            matches = match_detections(detected_P3, center_N3)
+            for detected_3, object_i in zip(detected_P3, matches, strict=True):
+                if object_i >= 0:
+                    detections[object_i].append(detected_3)
+        for object_i, (detected, center_3) in enumerate(zip(detections, center_N3, strict=True)):
             yield {
-                **self._about(T, word),
+                **self._keys(T, name),
                 "object_i": object_i,
-                "views_found": len(place_V3),
-                "centre_mm": round(float(np.mean(away)), 3) if away else None,
-                "spread_mm": round(float(np.mean(apart)), 3) if apart else None,
+                "views_found": len(detected),
+                "centre_mm": _mean_distance_mm([(point, center_3) for point in detected]),
+                "spread_mm": _mean_distance_mm(list(combinations(detected, 2))),
             }
 
-    def _about(self, T: int, word: str) -> FutureRow:
-        return {"task": self.episode.task, "episode_i": self.episode_i, "T": T, "source": word}
-
-    def _objects_shown(
-        self,
-        T: int,
-        frames: Frames,
-        cameras: Sequence[Camera],
-        catalogue: Catalogue,
-        sim: SimConfig,
-    ) -> Bools:
-        """Pixels VHW that show an object now, or would at first, and at neither time the robot,
-        which is not moved.
-        """
-        renderer = scene_renderer(self.episode, catalogue, sim)
-        first = renderer.render(mesh_poses(self.episode.steps[0]), cameras).seg_VHW
-        is_object, is_robot = (
-            (a | b) for a, b in zip(_kinds(frames.seg_VHW), _kinds(first), strict=True)
-        )
-        return np.asarray(is_object & ~is_robot)
+    def _keys(self, T: int, source: str) -> FutureRow:
+        return {"task": self.episode.task, "episode_i": self.episode_i, "T": T, "source": source}
 
 
-def _kinds(seg_VHW: NDArray[np.uint8]) -> tuple[Bools, Bools]:
-    return seg_VHW >= SEG_FIRST_OBJECT, seg_VHW == SEG_ROBOT
+def _mean_distance_mm(pairs: Sequence[tuple[Floats, ...]]) -> float | None:
+    if not pairs:
+        return None
+    return round(float(np.mean([float(np.linalg.norm(a - b)) * 1e3 for a, b in pairs])), 3)
 
 
-def _qualities(made: Frames, true: Frames, shown_VHW: Bools) -> FutureRow:
-    """Means over views of ``psnr_db`` and ``ssim``; ``objects_psnr_db`` over pixels that show
-    objects, if any do.
-    """
-    each = [picture_quality(a, b) for a, b in zip(made.rgb_VHW3, true.rgb_VHW3, strict=True)]
+def _image_errors(image: Frames, true: Frames, is_object_VHW: Bools) -> FutureRow:
+    """Means over views of ``psnr_db`` and ``ssim``; ``objects_psnr_db`` over pixels of objects."""
+    views = [picture_quality(a, b) for a, b in zip(image.rgb_VHW3, true.rgb_VHW3, strict=True)]
     row: FutureRow = {
-        name: round(float(np.mean([one[name] for one in each])), 4) for name in each[0]
+        name: round(float(np.mean([view[name] for view in views])), 4) for name in views[0]
     }
-    error_P3 = (made.rgb_VHW3[shown_VHW].astype(np.float64) - true.rgb_VHW3[shown_VHW]) / 255
-    row["objects_psnr_db"] = (
-        round(float(-10 * np.log10((error_P3**2).mean())), 4) if len(error_P3) else None
-    )
+    true_P3 = true.rgb_VHW3[is_object_VHW]
+    error_P3 = (image.rgb_VHW3[is_object_VHW].astype(np.float64) - true_P3) / 255
+    row["objects_psnr_db"] = None
+    if len(error_P3):
+        row["objects_psnr_db"] = round(float(-10 * np.log10((error_P3**2).mean())), 4)
     return row
 
 
-def _inside_hulls(episode: Episode, T: int, grid: Grid) -> Tensor:
-    """Voxels XYZ in the hull of an object now or at first."""
+def _in_boxes(episode: Episode, T: int, grid: Grid) -> Tensor:
+    """Voxels XYZ in the bounding box of an object, at T or in the first state."""
     points_XYZ3 = centers(grid)
-    inside = torch.zeros(grid.shape, dtype=torch.bool)
+    inside_XYZ = torch.zeros(grid.shape, dtype=torch.bool)
     for step in (episode.steps[0], episode.steps[T]):
         for center_3, size_3 in zip(step.center_N3, step.size_N3, strict=True):
-            away = (points_XYZ3 - torch.from_numpy(center_3).float()).abs()
-            inside |= (away <= torch.from_numpy(size_3).float() / 2).all(-1)
-    return inside
+            offset = (points_XYZ3 - torch.from_numpy(center_3).float()).abs()
+            inside_XYZ |= (offset <= torch.from_numpy(size_3).float() / 2).all(-1)
+    return inside_XYZ

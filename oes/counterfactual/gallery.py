@@ -1,6 +1,4 @@
-"""Pictures of imagined futures beside the true ones: forecasts, the same from three sides, and
-changed scenes.
-"""
+"""Images and videos of composed futures beside the true ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from oes.counterfactual.compose import DecomposedScene, PoseTable, compose
+from oes.counterfactual.compose import DecomposedScene, compose
 from oes.counterfactual.counterfactuals import Counterfactual
-from oes.episode import Camera, Episode, Floats
+from oes.episode import Camera, Episode
 from oes.episodes.capture import scene_renderer
 from oes.meshes.catalogue import Catalogue
 from oes.perception.perceiver import Perceiver
@@ -21,79 +19,81 @@ from oes.sim.world import SimConfig
 from oes.viz.overlay import PUSH, CameraOverlay, Pixels
 from oes.viz.video import sheet, write_video
 
-ROD_M = 0.12  # how much of the rod is drawn
-PICTURES_PER_S, HOLD = 3, 4  # states a second in films, and how many pictures the last one stays
+ROD_M = 0.12  # length of the line that shows the rod
+FPS, HOLD_FRAMES = 3, 4  # states per second of videos, and repetitions of the last one
+
+LabelledRows = list[tuple[str, list[Pixels]]]
 
 
 @dataclass(frozen=True)
 class FutureRenderer:
-    """Shows all states of an episode through cameras that stand still, as they were or as they are
-    imagined.
-    """
+    """Renders all states of a counterfactual through a fixed camera."""
 
     perceiver: Perceiver
     catalogue: Catalogue
     sim: SimConfig
-    still: DecomposedScene
+    scene: DecomposedScene
 
-    def true(self, happened: Episode, camera: Camera) -> list[Pixels]:
-        """Rendered from the simulator's states."""
-        renderer = scene_renderer(happened, self.catalogue, self.sim)
-        return [renderer.render(mesh_poses(step), [camera]).rgb_VHW3[0] for step in happened.steps]
+    def simulated(self, episode: Episode, camera: Camera) -> list[Pixels]:
+        """Ray-cast images of the simulator's states."""
+        renderer = scene_renderer(episode, self.catalogue, self.sim)
+        return [renderer.render(mesh_poses(step), [camera]).rgb_VHW3[0] for step in episode.steps]
 
-    def imagined(self, answer: Counterfactual, model: str, camera: Camera) -> list[Pixels]:
-        """Decoded from synthesised maps; the robot's features stay, a line shows where its rod
-        is.
+    def forecast(self, future: Counterfactual, model: str, camera: Camera) -> list[Pixels]:
+        """Decoded images of the composed map.
+
+        The robot's features do not move; a line shows the rod.
         """
-        episode, motion = answer.case.episode, answer.found[model]
-        tip_T3 = episode.steps[0].tip_world_3 + np.cumsum(
-            [np.zeros(3), *episode.actions_T3], axis=0
-        )
-        return [
-            self._one(motion.poses(answer.case.poses, T), camera, tip_3)
-            for T, tip_3 in enumerate(tip_T3)
-        ]
+        episode, motion = future.scenario.episode, future.forecasts[model]
+        moved_I3 = np.cumsum([np.zeros(3), *episode.actions_T3], axis=0)
+        images = []
+        for T, tip_3 in enumerate(episode.steps[0].tip_world_3 + moved_I3):
+            near = compose(self.scene, motion.poses(future.scenario.poses, T))
+            frames = self.perceiver.look(near, self.scene.far_field, [camera])
+            image = CameraOverlay(frames.rgb_VHW3[0], camera, 1)
+            if np.isfinite(tip_3).all():
+                image.line(np.stack([tip_3, tip_3 + np.array([0.0, 0.0, ROD_M])]), PUSH)
+            images.append(image.pixels)
+        return images
 
-    def _one(self, poses: PoseTable, camera: Camera, tip_3: Floats) -> Pixels:
-        near = compose(self.still, poses)
-        picture = CameraOverlay(
-            self.perceiver.look(near, self.still.backdrop, [camera]).rgb_VHW3[0], camera, 1
-        )
-        if np.isfinite(tip_3).all():
-            picture.line(np.stack([tip_3, tip_3 + np.array([0.0, 0.0, ROD_M])]), PUSH)
-        return picture.pixels
+    def both(self, future: Counterfactual, model: str, camera: Camera) -> LabelledRows:
+        """Rows of the simulation and of one forecast."""
+        label = f"{future.scenario.label}: truth"
+        simulated = (label, self.simulated(future.simulated, camera))
+        return [simulated, (model, self.forecast(future, model, camera))]
 
 
 def zoomed(camera: Camera, factor: float) -> Camera:
-    """The same camera with a longer lens."""
+    """The same camera with a longer focal length."""
     K_33 = camera.K_33.copy()
     K_33[[0, 1], [0, 1]] *= factor
     return replace(camera, K_33=K_33)
 
 
-def write_pictures(
-    painter: FutureRenderer,
-    answers: Sequence[Counterfactual],
+def write_gallery(
+    renderer: FutureRenderer,
+    futures: Sequence[Counterfactual],
     cameras: Sequence[Camera],
     models: Sequence[str],
     folder: Path,
 ) -> None:
-    """``forecast-``, ``views-`` and ``edits-<episode>.png`` with time to the right, and
-    ``views-<episode>.mp4``.
+    """``forecast-``, ``views-`` and ``edits-<episode>.png`` with time to the right, and a video.
 
-    ``cameras``: that of the first photograph, then those to look through; the first answer is of
-    the unchanged scene.
+    ``cameras``: the input camera, then the query cameras. The first of ``futures`` is unedited.
     """
-    plain, name = answers[0], f"{answers[0].case.scene.episode_i:06d}"
-    _save(folder / f"forecast-{name}.png", _forecasts(painter, plain, cameras[0], models))
-    sides = {camera.name: _pair(painter, plain, camera, models[0]) for camera in cameras[1:]}
-    _save(folder / f"views-{name}.png", [row for rows in sides.values() for row in rows])
-    films = [
-        np.hstack([np.vstack([tiles[T] for _, tiles in rows]) for rows in sides.values()])
-        for T in _times(plain)
+    unedited, name = futures[0], f"{futures[0].scenario.scene.episode_i:06d}"
+    input_camera, *queries = cameras
+    rows = [("truth", renderer.simulated(unedited.simulated, input_camera))]
+    rows += [(model, renderer.forecast(unedited, model, input_camera)) for model in models]
+    _save(folder / f"forecast-{name}.png", rows)
+    views = [renderer.both(unedited, models[0], camera) for camera in queries]
+    _save(folder / f"views-{name}.png", [row for view in views for row in view])
+    frames = [
+        np.hstack([np.vstack([images[T] for _, images in view]) for view in views])
+        for T in range(len(unedited.simulated.steps))
     ]
-    write_video([*films, *films[-1:] * HOLD], folder / f"views-{name}.mp4", PICTURES_PER_S)
-    edits = [row for answer in answers for row in _pair(painter, answer, cameras[0], models[0])]
+    write_video([*frames, *frames[-1:] * HOLD_FRAMES], folder / f"views-{name}.mp4", FPS)
+    edits = [row for future in futures for row in renderer.both(future, models[0], input_camera)]
     _save(folder / f"edits-{name}.png", edits)
 
 
@@ -104,42 +104,19 @@ def write_predictions(
     camera_is: tuple[Sequence[int], Sequence[int]],
     path: Path,
 ) -> None:
-    """Views that were not seen, predicted from one and from three that were (first frame), below
-    photographs of them.
+    """Predicted views of the first state from one and from three input views, below the true ones.
 
-    ``camera_is``: those to see with, at least three, and those to predict.
+    ``camera_is``: at least three input cameras, and the query cameras.
     """
-    frames, cameras = source.read(episode_i, 0, camera_is[1])
-    rows: RowsByTable = [("photographs", list(frames.rgb_VHW3))]
-    for count, words in ((1, "from one view"), (3, "from three views")):
-        fields = perceiver.fields(
-            perceiver.encode(*source.read(episode_i, 0, camera_is[0][:count]))
-        )
-        rows.append((words, list(perceiver.look(*fields, cameras).rgb_VHW3)))
+    inputs, queries = camera_is
+    frames, cameras = source.read(episode_i, 0, queries)
+    rows: LabelledRows = [("photographs", list(frames.rgb_VHW3))]
+    for count, label in ((1, "from one view"), (3, "from three views")):
+        features = perceiver.encode(*source.read(episode_i, 0, inputs[:count]))
+        predicted = perceiver.look(*perceiver.fields(features), cameras)
+        rows.append((label, list(predicted.rgb_VHW3)))
     _save(path, rows)
 
 
-RowsByTable = list[tuple[str, list[Pixels]]]
-
-
-def _forecasts(
-    painter: FutureRenderer, answer: Counterfactual, camera: Camera, models: Sequence[str]
-) -> RowsByTable:
-    rows = [("truth", painter.true(answer.happened, camera))]
-    return rows + [(model, painter.imagined(answer, model, camera)) for model in models]
-
-
-def _pair(
-    painter: FutureRenderer, answer: Counterfactual, camera: Camera, model: str
-) -> RowsByTable:
-    """The truth and one model's forecast."""
-    truth, imagined = painter.true(answer.happened, camera), painter.imagined(answer, model, camera)
-    return [(f"{answer.case.words}: truth", truth), (model, imagined)]
-
-
-def _times(answer: Counterfactual) -> range:
-    return range(len(answer.happened.steps))
-
-
-def _save(path: Path, rows: RowsByTable) -> None:
+def _save(path: Path, rows: LabelledRows) -> None:
     Image.fromarray(sheet(rows)).save(path)

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from oes.counterfactual.compose import compose, visible
-from oes.counterfactual.edits import Scenario, move_object, redirect_push, restart_scene
+from oes.counterfactual.compose import compose, visible_features
+from oes.counterfactual.edits import Scenario, move_object, redirect_push, shift_rod
 from oes.counterfactual.forecast import (
     ObjectMotion,
     forecast_motions,
@@ -58,7 +58,7 @@ class Session:
     @property
     def case(self) -> Scenario:
         """The scenario with the current change."""
-        case = restart_scene(redirect_push(self.first, self.change.turn_rad), self.change.start_3)
+        case = shift_rod(redirect_push(self.first, self.change.turn_rad), self.change.start_3)
         for i, shift_3 in enumerate(self.change.shift_N3):
             case = move_object(case, i, shift_3)
         return case
@@ -76,7 +76,7 @@ class Session:
     def render(self, case: Scenario, motion: ObjectMotion, T: int, camera: Camera) -> Pixels:
         """The forecast at T, rendered for a camera."""
         near = compose(self.still, motion.poses(case.poses, T))
-        image: Pixels = self.perceiver.look(near, self.still.backdrop, [camera]).rgb_VHW3[0]
+        image: Pixels = self.perceiver.look(near, self.still.far_field, [camera]).rgb_VHW3[0]
         return image
 
     def error_mm(self, case: Scenario, motion: ObjectMotion, happened: Episode, T: int) -> float:
@@ -102,8 +102,10 @@ class Session:
 
     def map_points(self) -> PointsRGB:
         """The opaque voxels of the feature map; colours are its three principal components."""
-        shown = visible(Field(self.still.map[None], self.still.grid))[0] > MIN_OCCUPANCY
-        features_P7 = self.still.map[1:, shown].T
+        shown = (
+            visible_features(Field(self.still.map_CXYZ[None], self.still.grid))[0] > MIN_OCCUPANCY
+        )
+        features_P7 = self.still.map_CXYZ[1:, shown].T
         centred = features_P7 - features_P7.mean(0)
         torch.manual_seed(0)
         main_P3 = centred @ torch.pca_lowrank(centred, q=3)[2]

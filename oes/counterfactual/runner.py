@@ -1,0 +1,134 @@
+"""Futures of test episodes: rows for the tables, and a gallery of the first ones."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from oes.config import Shared, params
+from oes.counterfactual.compose import DecomposedScene
+from oes.counterfactual.counterfactuals import Counterfactual, edit_rows, run_counterfactuals
+from oes.counterfactual.edits import EDIT_TYPES, EditsConfig
+from oes.counterfactual.evaluate import FutureEvaluator, FutureRow
+from oes.counterfactual.forecast import TRUTH, perceive_first_state, true_motions
+from oes.counterfactual.gallery import FutureRenderer, write_gallery, write_predictions, zoomed
+from oes.dynamics.unroll import DynamicsModel
+from oes.episodes.capture import scene_renderer
+from oes.meshes.catalogue import Catalogue
+from oes.perception.perceiver import Perceiver
+from oes.progress import resumable_map
+from oes.record.dataset import FrameSource
+from oes.schema import FUTURES
+from oes.sim.world import SimConfig
+
+
+@params
+class FuturesConfig:
+    """The section ``futures``.
+
+    ``splits``, ``edit_types``: by task. ``num_episodes``: episodes that are edited and forecast,
+    of which the first ``num_rendered`` are rendered and measured, and the first ``num_shown``
+    shown. ``horizons_steps``: T of the measures. ``cameras``: indices of the query cameras.
+    ``zoom``: of the gallery.
+    """
+
+    seed: int
+    num_workers: int
+    splits: dict[str, str]
+    num_episodes: int
+    num_rendered: int
+    horizons_steps: tuple[int, ...]
+    cameras: tuple[int, ...]
+    zoom: float
+    edit_types: dict[str, tuple[str, ...]]
+    edits: EditsConfig
+    num_shown: int
+    sim: Shared[SimConfig]
+
+    def __post_init__(self) -> None:
+        """Raises ValueError (a ParamsError when read from params.yaml) for an unknown edit type."""
+        unknown = {edit for edits in self.edit_types.values() for edit in edits} - {*EDIT_TYPES}
+        if unknown:
+            names = ", ".join(sorted(unknown))
+            raise ValueError(f"edit_types: unknown {names}; valid: {', '.join(EDIT_TYPES)}")
+
+
+@dataclass(frozen=True)
+class FuturesRunner:
+    """Everything that all episodes share; the first of ``models`` is rendered from all cameras."""
+
+    cfg: FuturesConfig
+    task: str
+    catalogue: Catalogue
+    perceiver: Perceiver
+    source: FrameSource
+    models: Mapping[str, DynamicsModel]
+
+    def run(self, progress: Path, gallery: Path) -> dict[str, list[FutureRow]]:
+        """Rows by table (``oes.schema.FUTURES``); reuses episodes already in ``progress``."""
+        count = min(self.cfg.num_episodes, len(self.source))
+        paths = {progress / f"{episode_i:06d}.json": episode_i for episode_i in range(count)}
+        resumable_map(
+            partial(self._write, gallery),
+            paths,
+            num_workers=self.cfg.num_workers,
+            desc=f"futures {self.task}",
+            unit="episode",
+        )
+        episodes = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+        return {name: [row for rows in episodes for row in rows.get(name, [])] for name in FUTURES}
+
+    def _write(self, gallery: Path, episode_i: int, path: Path) -> None:
+        path.write_text(json.dumps(self.run_episode(episode_i, gallery)), encoding="utf-8")
+
+    def run_episode(self, episode_i: int, gallery: Path) -> dict[str, list[FutureRow]]:
+        """The rows of one episode, perceived by a random camera that is not a query camera."""
+        cfg, episode = self.cfg, self.source.episodes[episode_i]
+        rng = np.random.default_rng((cfg.seed, episode_i))
+        num_cameras = len(episode.steps[0].cameras)
+        input_is = rng.permutation([i for i in range(num_cameras) if i not in cfg.cameras]).tolist()
+        scenario, scene = perceive_first_state(self.perceiver, self.source, episode_i, input_is[0])
+        world = (self.catalogue, cfg.sim, self.models)
+        edits, window = cfg.edit_types[self.task], scene.window
+        futures = list(run_counterfactuals(scenario, edits, cfg.edits, window, rng, world))
+        tables: dict[str, list[FutureRow]] = {}
+        if episode_i < cfg.num_rendered:
+            camera_is = (input_is[0], cfg.cameras)
+            evaluator = FutureEvaluator(self.perceiver, self.source, scenario, camera_is)
+            tables = self._evaluate(evaluator, scene, futures[0])
+        if episode_i < cfg.num_shown:
+            self._show(futures, scene, input_is, gallery)
+        rows = [row for future in futures for row in edit_rows(future, cfg.horizons_steps)]
+        return {**tables, "edits": rows}
+
+    def _show(
+        self,
+        futures: list[Counterfactual],
+        scene: DecomposedScene,
+        input_is: list[int],
+        gallery: Path,
+    ) -> None:
+        cfg, episode_i = self.cfg, futures[0].scenario.scene.episode_i
+        cameras = self.source.episodes[episode_i].steps[0].cameras
+        shown = [zoomed(cameras[i], cfg.zoom) for i in (input_is[0], *cfg.cameras)]
+        renderer = FutureRenderer(self.perceiver, self.catalogue, cfg.sim, scene)
+        write_gallery(renderer, futures, shown, list(self.models), gallery)
+        path = gallery / f"prediction-{episode_i:06d}.png"
+        write_predictions(self.perceiver, self.source, episode_i, (input_is, cfg.cameras), path)
+
+    def _evaluate(
+        self, evaluator: FutureEvaluator, scene: DecomposedScene, future: Counterfactual
+    ) -> dict[str, list[FutureRow]]:
+        renderer = scene_renderer(future.simulated, self.catalogue, self.cfg.sim)
+        motions = {**future.forecasts, TRUTH: true_motions(future.scenario, future.simulated)}
+        name = next(iter(self.models))
+        renders: list[FutureRow] = []
+        consistency: list[FutureRow] = []
+        for T in self.cfg.horizons_steps:
+            renders += evaluator.renders(scene, motions, T, renderer)
+            consistency += evaluator.consistency(scene, name, motions[name], T)
+            consistency += evaluator.detector_baseline(T)
+        return {"renders": renders, "consistency": consistency}
