@@ -123,7 +123,7 @@ def test_camera_within_a_box_sees_its_far_walls() -> None:
     assert np.allclose(depth, box_depth(camera, np.eye(4), size), atol=1e-6)
 
 
-def test_what_is_behind_or_beside_is_not_drawn() -> None:
+def test_meshes_behind_or_beside_the_view_are_not_drawn() -> None:
     box = mesh_of(trimesh.creation.box([0.1] * 3))
     camera = Camera(
         "cam", intrinsics(42, 32, 32), look_at(np.zeros(3), np.array([1.0, 0, 0])), 32, 32

@@ -1,3 +1,6 @@
-"""Images of a state: every view's RGB, z-depth and segmentation, from triangle meshes and their
-poses.
+"""Renderer of triangle meshes: RGB, z-depth and segmentation of a state from every camera.
+
+Reading order: ``scene`` (what is drawn), ``renderer`` (the entry point), ``raster`` (visibility),
+``normals``, ``texture`` and ``shade`` (colour). It may import ``geom``, ``jit`` and ``episode``;
+``meshes`` and ``sim`` for types only.
 """

@@ -40,8 +40,8 @@ def write_gif(shots: Sequence[tuple[Pixels, float]], path: Path) -> None:
         Image.fromarray(pixels).quantize(128, dither=Image.Dither.NONE) for pixels, _ in shots
     ]
     times_ms = [round(seconds * 1000) for _, seconds in shots]
-    options = {"save_all": True, "loop": 0, "optimize": False}
-    frames[0].save(path, append_images=frames[1:], duration=times_ms, **options)
+    first, *rest = frames
+    first.save(path, save_all=True, append_images=rest, duration=times_ms, loop=0, optimize=False)
 
 
 def _name(text: str, height: int, width: int) -> Pixels:
