@@ -1,7 +1,6 @@
 """Distances on the table: to the nearest obstacle, and to a goal around obstacles."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
@@ -86,8 +85,7 @@ class GeodesicDistance:
         length = np.linalg.norm(edge, axis=-1)
         if self.clearance.is_empty:
             return np.asarray(length)
-        fraction_Q: NDArray[np.float64] = np.arange(SAMPLES_PER_EDGE) + 0.5
-        fraction_Q = fraction_Q / SAMPLES_PER_EDGE
+        fraction_Q: Floats = (np.arange(SAMPLES_PER_EDGE) + 0.5) / SAMPLES_PER_EDGE
         points = xy[..., None, None, :] + edge[..., None, :] * fraction_Q[:, None]
         colliding = (self.clearance(points) < self.radius_m).mean(axis=-1)
         return np.asarray(length * (1 + COLLISION_PENALTY * colliding))

@@ -55,7 +55,8 @@ def update_manifold(
     ``origin_B3``: position of the other thing; ``breaking_BN``: breaking distance.
     """
     for b, n in np.ndindex(contact_BN7.shape[:2]):
-        com_3, rotation_33, breaking = com_BN3[b, n], rotation_BN33[b, n], breaking_BN[b, n]
+        com_3, rotation_33 = com_BN3[b, n], rotation_BN33[b, n]
+        breaking = float(breaking_BN[b, n])
         if contact_BN7[b, n, 6] < breaking:
             contact_7 = contact_BN7[b, n]
             slot = _slot(manifold, b, n, contact_7[:3], breaking)

@@ -3,16 +3,18 @@
 from oes.episode import Floats
 from oes.jit import jit
 
+Vector = Floats | tuple[float, float, float]
+
 
 @jit
-def dot(a_3: Floats, b_3: Floats) -> float:
+def dot(a_3: Vector, b_3: Vector) -> float:
     """Scalar product, summed from the first component on."""
     found: float = a_3[0] * b_3[0] + a_3[1] * b_3[1] + a_3[2] * b_3[2]
     return found
 
 
 @jit
-def cross(a_3: Floats, b_3: Floats) -> tuple[float, float, float]:
+def cross(a_3: Vector, b_3: Vector) -> tuple[float, float, float]:
     """Vector product."""
     return (
         a_3[1] * b_3[2] - a_3[2] * b_3[1],

@@ -38,16 +38,18 @@ def simulate_push(
     ahead_BN = ahead_BN.masked_fill(~bodies.valid_BN, torch.inf)
     order_BN = ahead_BN.argsort(dim=-1, stable=True)
     back_BN, scene_B1 = order_BN.argsort(-1), torch.arange(len(order_BN))[:, None]
-    bodies, state = (map_tensors(x, lambda t: t[scene_B1, order_BN]) for x in (bodies, state))
+    bodies = map_tensors(bodies, lambda x: x[scene_B1, order_BN])
+    state = map_tensors(state, lambda x: x[scene_B1, order_BN])
 
-    def run(start: int, end: int) -> PlanarState:
-        part = [map_tensors(x, lambda t: t[start:end]) for x in (bodies, state)]
-        return _simulate(*part, tip_B2[start:end], action_B2[start:end], cfg)
+    def run(part: slice) -> PlanarState:
+        some = map_tensors(bodies, lambda x: x[part])
+        start = map_tensors(state, lambda x: x[part])
+        return _simulate(some, start, tip_B2[part], action_B2[part], cfg)
 
     with ThreadPoolExecutor(count) as pool:
-        first, *others = pool.map(lambda ends: run(*ends), pairwise(bounds))
+        first, *others = pool.map(run, [slice(*ends) for ends in pairwise(bounds)])
     after = map_tensors(first, lambda *parts: torch.cat(parts), *others)
-    return map_tensors(after, lambda t: t[scene_B1, back_BN])
+    return map_tensors(after, lambda x: x[scene_B1, back_BN])
 
 
 def _simulate(
