@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from oes.dynamics.augment import DynamicsBatch
 from oes.dynamics.contact import Contact
 from oes.dynamics.encoders.surface_encoder import SurfaceEncoder
 from oes.dynamics.error_model import MIN_SIGMA_M, errors_and_spreads, fit_error_model
@@ -146,14 +147,13 @@ def test_single_steps_begin_where_objects_truly_were() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model("contact", objects).train()
     whole = unroll(model, objects, tip, actions)
-    steps = teacher_forced(
-        model, objects, tip, actions, whole.translation_BTN3, whole.rotation_BTN33
-    )
+    batch = DynamicsBatch(objects, tip, actions, whole.translation_BTN3, whole.rotation_BTN33)
+    steps = teacher_forced(model, batch)
     torch.testing.assert_close(
         steps.translation_BTN3[:, 0], whole.translation_BTN3[:, 0], atol=1e-5, rtol=1e-4
     )
     far = torch.full_like(whole.translation_BTN3, 5.0)
-    apart = teacher_forced(model, objects, tip, actions, far, whole.rotation_BTN33)
+    apart = teacher_forced(model, replace(batch, translation_BTN3=far))
     assert (apart.translation_BTN3[:, 1:] - 5).abs().max() < 0.5, (
         "motion goes on from the given place"
     )

@@ -9,9 +9,10 @@ over sampled shapes, masses and frictions, and their spread measures its uncerta
 from dataclasses import replace
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from oes.dynamics.encoders.surface_encoder import NOWHERE_M, SurfaceEncoder
+from oes.dynamics.encoders.surface_encoder import SurfaceEncoder
 from oes.dynamics.graph import GraphFeatures, ObjectState, StepMotion, TipMotion, yaw
 from oes.dynamics.models import GraphModel, InputSpec, NetConfig
 from oes.dynamics.rigid_body.bodies import PlanarState, rotate_2d
@@ -52,29 +53,26 @@ class Contact(GraphModel):
     def sample(self, appearance_BNC: Tensor) -> Tensor:
         """Packed surfaces of all samples; the same deviations in every call."""
         generator = torch.Generator().manual_seed(SEED)
-        shapes = self._unpack(appearance_BNC)
-        return shapes.sample(self.net.contact.uncertainty, generator).pack()
+        uncertainty = self.net.contact.uncertainty
+        return self._unpack(appearance_BNC).sample(uncertainty, generator).pack()
 
     def step(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
         """Sliding corrected by the graph network; objects that do not slide stay."""
-        shapes, unit_m, step_s = (
-            self._unpack(appearance_BNC),
-            self.net.graph.unit_m,
-            self.net.contact.step_s,
-        )
-        prior, action_R_B22 = self._slide(shapes, state, tip), tip.axes_B33()[:, :2, :2]
+        contact, unit_m = self.net.contact, self.net.graph.unit_m
+        shapes, axes_B22 = self._unpack(appearance_BNC), tip.axes_B33()[:, :2, :2]
+        prior = self._slide(shapes, state, tip)
         assert prior.twist_BN3 is not None
         features: GraphFeatures = self.encoder(shapes, state, tip)
         node = [
             features.node_BNC,
-            prior.dp_BN3[..., :2] @ action_R_B22 / unit_m,
+            prior.dp_BN3[..., :2] @ axes_B22 / unit_m,
             prior.rotvec_BN3[..., 2:],
-            prior.twist_BN3[..., :2] @ action_R_B22 * step_s / unit_m,
-            prior.twist_BN3[..., 2:] * step_s,
+            prior.twist_BN3[..., :2] @ axes_B22 * contact.step_s / unit_m,
+            prior.twist_BN3[..., 2:] * contact.step_s,
         ]
         features = replace(features, node_BNC=torch.cat(node, -1))
-        found: StepMotion = self.graph(features, state, state.rotation_BN33[..., 2], tip)
-        if self.net.contact.physics is None:
+        found: StepMotion = self.graph(features, state, tip)
+        if contact.physics is None:
             return replace(found, twist_BN3=prior.twist_BN3)
         # Without the mask, a bystander would drift by the network's residual error.
         slides_BN1 = prior.dp_BN3.norm(dim=-1, keepdim=True) > MIN_SLIDE_M
@@ -87,24 +85,22 @@ class Contact(GraphModel):
     @torch.no_grad()
     def _slide(self, shapes: ObjectShapes, state: ObjectState, tip: TipMotion) -> StepMotion:
         """Motion by rigid-body sliding alone; none where objects fall."""
-        zero_BN3 = torch.zeros_like(state.center_BN3)
         contact = self.net.contact
         if contact.physics is None:
-            return StepMotion(zero_BN3, zero_BN3, zero_BN3)
+            return StepMotion(*[torch.zeros_like(state.center_BN3)] * 3)
         bodies = shapes.bodies(state.valid_BN, contact.surface_points.layer_height_m)
         yaw_BN = yaw(state.rotation_BN33)
         com_BN2 = state.center_BN3[..., :2] + rotate_2d(bodies.com_offset_BN2, yaw_BN)
         after = simulate_push(
             bodies,
             PlanarState(com_BN2, yaw_BN, state.twist_BN3),
-            tip.start_B3[:, :2].nan_to_num(nan=NOWHERE_M),
+            tip.finite_start_B3()[:, :2],
             tip.action_B3[:, :2],
             contact.physics,
         )
         center_BN2 = after.com_BN2 - rotate_2d(bodies.com_offset_BN2, after.yaw_BN)
-        dp_BN3, rotvec_BN3 = zero_BN3.clone(), zero_BN3.clone()
-        dp_BN3[..., :2] = center_BN2 - state.center_BN3[..., :2]
-        rotvec_BN3[..., 2] = after.yaw_BN - yaw_BN
+        dp_BN3 = F.pad(center_BN2 - state.center_BN3[..., :2], (0, 1))
+        rotvec_BN3 = F.pad((after.yaw_BN - yaw_BN)[..., None], (2, 0))
         return StepMotion(dp_BN3, rotvec_BN3, after.twist_BN3)
 
     def _unpack(self, appearance_BNC: Tensor) -> ObjectShapes:

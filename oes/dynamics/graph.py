@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from oes.config import params
 
-LEAK = 0.01
+NOWHERE_M = 1e3  # coordinates of what does not exist: far from everything
 
 
 @params
@@ -48,7 +48,7 @@ class ObjectState:
 
 @dataclass(frozen=True)
 class TipMotion:
-    """One action: the robot's tip moves from ``start_B3`` by ``action_B3`` (world frame, metres).
+    """One action: the robot's tip moves from ``start_B3`` by ``action_B3`` (world, metres).
 
     A start of NaN stands for a scene without a robot.
     """
@@ -60,13 +60,16 @@ class TipMotion:
         """``world_R_action``: x along the horizontal action (the world's x if 0), z up."""
         return yaw_rotation(torch.atan2(self.action_B3[:, 1], self.action_B3[:, 0]))
 
+    def finite_start_B3(self) -> Tensor:
+        """The start; ``NOWHERE_M`` without a robot."""
+        return self.start_B3.nan_to_num(nan=NOWHERE_M)
+
 
 @dataclass(frozen=True)
 class StepMotion:
-    """Motion of N objects over one step, in world axes.
+    """Motion over one step: displacement (metres) and rotation vector, in world axes.
 
-    ``dp_BN3``: displacement of the reference point (metres); ``rotvec_BN3``: rotation vector
-    (radians); ``twist_BN3``: planar velocity after the step (see ``ObjectState``).
+    ``twist_BN3``: planar velocity after the step (see ``ObjectState``).
     """
 
     dp_BN3: Tensor
@@ -78,21 +81,13 @@ class StepMotion:
 class GraphFeatures:
     """Encoded shapes at one step, in the action's axes; widths may be 0.
 
-    ``node_BNC``: of each object; ``agent_BNC``: of the edge from the tip to each object;
-    ``edge_BNNC``: of the edge to each receiver (first N) from each sender.
+    Of each object, of the edge from the tip to each object, and of the edge to each receiver
+    (first N) from each sender.
     """
 
     node_BNC: Tensor
     agent_BNC: Tensor
     edge_BNNC: Tensor
-
-
-def node_features_only(node_BNC: Tensor) -> GraphFeatures:
-    """Features of nodes alone; edges get width 0."""
-    empty_BN0 = node_BNC[..., :0]
-    return GraphFeatures(
-        node_BNC, empty_BN0, empty_BN0[:, :, None].expand(-1, -1, node_BNC.shape[1], -1)
-    )
 
 
 class GraphNet(nn.Module):
@@ -122,75 +117,58 @@ class GraphNet(nn.Module):
         nn.init.xavier_uniform_(self.head.weight, gain=0.1)
         nn.init.zeros_(self.head.bias)
 
-    def forward(
-        self, features: GraphFeatures, state: ObjectState, up_BN3: Tensor, tip: TipMotion
-    ) -> StepMotion:
-        """Motion of every object over one action; ``up_BN3`` is each object's own z axis."""
-        axes_B133 = tip.axes_B33()[:, None]
-        node_BNC = self._nodes(features.node_BNC, state, up_BN3, axes_B133)
+    def forward(self, features: GraphFeatures, state: ObjectState, tip: TipMotion) -> StepMotion:
+        """Motion of every object over one action."""
+        axes_B133, unit_m = tip.axes_B33()[:, None], self.unit_m
+        vectors = [state.velocity_BN3 / unit_m, state.displacement_BN3 / unit_m]
+        vectors.append(state.rotation_BN33[..., 2])
+        vectors += [state.omega_BN3] if self.angular_velocity else []
+        geometry_BNC = (torch.stack(vectors, -2) @ axes_B133).flatten(-2)
+        height_BN1 = state.center_BN3[..., 2:] / unit_m
+        node_BNC = torch.cat([features.node_BNC, geometry_BNC, height_BN1], -1)
         # NaN (no robot) becomes 0: the network then sees a tip that stays on the object.
         to_tip_BN3 = (tip.start_B3[:, None] - state.center_BN3).nan_to_num()
         to_tip_BN23 = torch.stack([to_tip_BN3, tip.action_B3[:, None].expand_as(to_tip_BN3)], -2)
-        to_tip_BN6 = (to_tip_BN23 @ axes_B133).flatten(-2) / self.unit_m
+        to_tip_BN6 = (to_tip_BN23 @ axes_B133).flatten(-2) / unit_m
         agent_BNC = self.agent_edge(torch.cat([node_BNC, to_tip_BN6, features.agent_BNC], -1))
         offset_BNN3 = state.center_BN3[:, None] - state.center_BN3[:, :, None]
-        offset_BNN3 = offset_BNN3 @ axes_B133 / self.unit_m
-        edge_BNNC = torch.cat([offset_BNN3, features.edge_BNNC], -1)
-        is_edge_BNN1 = valid_pairs(state.valid_BN)[..., None]
+        edge_BNNC = torch.cat([offset_BNN3 @ axes_B133 / unit_m, features.edge_BNNC], -1)
+        is_edge_BNN1, pairs = valid_pairs(state.valid_BN)[..., None], (*edge_BNNC.shape[:-1], -1)
         hidden_BNC = node_BNC
         for edge, update in zip(self.edges, self.nodes, strict=True):
-            pairs = (*edge_BNNC.shape[:-1], -1)
-            receiver, sender = (
-                hidden_BNC[:, :, None].expand(pairs),
-                hidden_BNC[:, None].expand(pairs),
-            )
-            messages_BNNC = edge(torch.cat([receiver, sender, edge_BNNC], -1)) * is_edge_BNN1
+            ends = hidden_BNC[:, :, None].expand(pairs), hidden_BNC[:, None].expand(pairs)
+            messages_BNNC = edge(torch.cat([*ends, edge_BNNC], -1)) * is_edge_BNN1
             # Every round sees the input of the node again, so that messages cannot displace it.
             hidden_BNC = update(torch.cat([node_BNC, agent_BNC, messages_BNNC.sum(2)], -1))
         out_BN23 = self.head(hidden_BNC).unflatten(-1, (2, 3)) @ axes_B133.mT
-        return StepMotion(out_BN23[..., 0, :] * self.unit_m, out_BN23[..., 1, :])
-
-    def _nodes(
-        self, features_BNC: Tensor, state: ObjectState, up_BN3: Tensor, axes_B133: Tensor
-    ) -> Tensor:
-        """Inputs of the nodes: features, velocity, displacement, tilt, rotation, height."""
-        lengths = [state.velocity_BN3 / self.unit_m, state.displacement_BN3 / self.unit_m]
-        rotation = [state.omega_BN3] if self.angular_velocity else []
-        vectors_BNC = (torch.stack([*lengths, up_BN3, *rotation], -2) @ axes_B133).flatten(-2)
-        height_BN1 = state.center_BN3[..., 2:] / self.unit_m
-        return torch.cat([features_BNC, vectors_BNC, height_BN1], -1)
+        return StepMotion(out_BN23[..., 0, :] * unit_m, out_BN23[..., 1, :])
 
 
 def mlp(inputs: int, width: int, layers: int) -> nn.Sequential:
     """``layers`` linear layers with leaky ReLUs and Xavier initialisation (appendix C.1)."""
-    modules: list[nn.Module] = []
-    for fan_in, fan_out in pairwise([inputs] + [width] * layers):
-        modules += [_xavier(nn.Linear(fan_in, fan_out)), nn.LeakyReLU(LEAK)]
-    return nn.Sequential(*modules)
+    sizes = pairwise([inputs] + [width] * layers)
+    return nn.Sequential(*(x for fan in sizes for x in _activated(nn.Linear(*fan))))
 
 
 def conv_encoder(inputs: int, channels: Sequence[int], kernel_px: int) -> nn.Sequential:
     """2D convolutions of stride 2 with leaky ReLUs and Xavier initialisation; output flattened."""
-    modules: list[nn.Module] = []
-    for fan_in, fan_out in pairwise((inputs, *channels)):
-        conv = nn.Conv2d(fan_in, fan_out, kernel_px, stride=2, padding=1)
-        modules += [_xavier(conv), nn.LeakyReLU(LEAK)]
-    return nn.Sequential(*modules, nn.Flatten())
+    # Lazily: each layer is initialised before the next one takes its random numbers.
+    convs = (nn.Conv2d(*fan, kernel_px, 2, 1) for fan in pairwise((inputs, *channels)))
+    return nn.Sequential(*(x for conv in convs for x in _activated(conv)), nn.Flatten())
 
 
-def _xavier(layer: nn.Linear | nn.Conv2d) -> nn.Module:
+def _activated(layer: nn.Linear | nn.Conv2d) -> tuple[nn.Module, nn.Module]:
     nn.init.xavier_uniform_(layer.weight)
     assert layer.bias is not None
     nn.init.zeros_(layer.bias)
-    return layer
+    return layer, nn.LeakyReLU(0.01)
 
 
 def yaw_rotation(angle_B: Tensor) -> Tensor:
     """Rotations B33 about the vertical by ``angle_B`` (radians)."""
     cos, sin = angle_B.cos(), angle_B.sin()
     zero, one = torch.zeros_like(cos), torch.ones_like(cos)
-    rows = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1)
-    return rows.reshape(-1, 3, 3)
+    return torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1).reshape(-1, 3, 3)
 
 
 def yaw(R: Tensor) -> Tensor:

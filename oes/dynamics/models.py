@@ -1,6 +1,7 @@
 """Learned models: one graph network and three encodings of objects (paper 3.2, C.1, C.2)."""
 
 from abc import abstractmethod
+from dataclasses import replace
 from typing import ClassVar
 
 import torch
@@ -24,7 +25,6 @@ from oes.dynamics.graph import (
     TipMotion,
     conv_encoder,
     mlp,
-    node_features_only,
 )
 from oes.dynamics.unroll import DynamicsModel
 from oes.objects import Objects, map_tensors
@@ -92,17 +92,12 @@ class GraphModel(DynamicsModel):
 
     @abstractmethod
     def step(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
-        """Motion of every object over one action, of appearances from ``encode``."""
-
-    @property
-    def averages_mirror(self) -> bool:
-        """Whether the forecast includes that of the mirror image."""
-        return self.AVERAGES_MIRROR and not self.training
+        """Motion of every object over one action, of an appearance from ``encode``."""
 
     def appearance(self, objects: Objects) -> Tensor:
         """``encode``d objects; followed by their mirror image, BN(2C), if it is averaged over."""
         appearance_BNC = self.encode(objects)
-        if not self.averages_mirror:
+        if self.training or not self.AVERAGES_MIRROR:
             return appearance_BNC
         mirror_B33 = self.mirror_33.expand(len(appearance_BNC), 3, 3)
         shift_BN3 = torch.zeros_like(objects.center_N3)
@@ -111,7 +106,7 @@ class GraphModel(DynamicsModel):
 
     def forward(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
         """Motion of every object over one action."""
-        if not self.averages_mirror:
+        if self.training or not self.AVERAGES_MIRROR:
             return self.step(appearance_BNC, state, tip)
         mirror_33 = self.mirror_33
         # One batch of 2B scenes: two smaller steps take longer.
@@ -122,11 +117,9 @@ class GraphModel(DynamicsModel):
         )
         dp_BN3, mirror_dp_BN3 = motion.dp_BN3.chunk(2)
         rotvec_BN3, mirror_rotvec_BN3 = motion.rotvec_BN3.chunk(2)
+        dp_BN3 = (dp_BN3 + mirror_dp_BN3 @ mirror_33) / 2
         # A rotation vector is a pseudovector: mirroring also flips its sign.
-        return StepMotion(
-            (dp_BN3 + mirror_dp_BN3 @ mirror_33) / 2,
-            (rotvec_BN3 - mirror_rotvec_BN3 @ mirror_33) / 2,
-        )
+        return StepMotion(dp_BN3, (rotvec_BN3 - mirror_rotvec_BN3 @ mirror_33) / 2)
 
 
 class GraphXYZ(GraphModel):
@@ -138,9 +131,14 @@ class GraphXYZ(GraphModel):
 
     def step(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
         """Motion of every object over one action."""
-        up_BN3 = torch.zeros_like(state.center_BN3)
-        up_BN3[..., 2] = 1
-        motion: StepMotion = self.graph(node_features_only(appearance_BNC), state, up_BN3, tip)
+        empty_BN0 = appearance_BNC[..., :0]
+        empty_BNN0 = empty_BN0[:, :, None].expand(-1, -1, empty_BN0.shape[1], -1)
+        eye_BN33 = torch.eye(3).to(state.rotation_BN33).expand_as(state.rotation_BN33)
+        motion: StepMotion = self.graph(
+            GraphFeatures(appearance_BNC, empty_BN0, empty_BNN0),
+            replace(state, rotation_BN33=eye_BN33),
+            tip,
+        )
         return motion
 
 
@@ -205,19 +203,18 @@ class OES(GraphModel):
     def step(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
         """Motion of every object over one action."""
         crops = torch.unflatten(appearance_BNC, -1, self.crop_shape)
-        features: GraphFeatures = self.encoder(crops, state, tip)
-        motion: StepMotion = self.graph(features, state, state.rotation_BN33[..., 2], tip)
+        motion: StepMotion = self.graph(self.encoder(crops, state, tip), state, tip)
         return motion
 
 
 def _mirrored(state: ObjectState, mirror_33: Tensor) -> ObjectState:
     """State of the mirrored scene; ``mirror_33`` is its own inverse."""
-    return ObjectState(
+    return replace(
+        state,
         center_BN3=state.center_BN3 @ mirror_33,
         velocity_BN3=state.velocity_BN3 @ mirror_33,
         omega_BN3=-state.omega_BN3 @ mirror_33,
         displacement_BN3=state.displacement_BN3 @ mirror_33,
         rotation_BN33=mirror_33 @ state.rotation_BN33 @ mirror_33,
         twist_BN3=state.twist_BN3 * state.twist_BN3.new_tensor([1.0, -1.0, -1.0]),
-        valid_BN=state.valid_BN,
     )

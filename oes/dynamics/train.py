@@ -14,7 +14,7 @@ from oes.dynamics.error_model import errors_and_spreads, fit_error_model
 from oes.dynamics.examples import Examples
 from oes.dynamics.loss import errors, loss_terms
 from oes.dynamics.models import NetConfig
-from oes.dynamics.unroll import DynamicsModel, teacher_forced, unroll
+from oes.dynamics.unroll import DynamicsModel, Rollout, teacher_forced, unroll
 from oes.training.checkpoint import TrainConfig
 from oes.training.loop import fit
 
@@ -85,17 +85,12 @@ def train_dynamics(
         return augment(examples.batch(train_U[i_B]), cfg.augment, examples.voxel_m, generator)
 
     def loss(learner: nn.Module, batch: DynamicsBatch) -> Mapping[str, Tensor]:
-        inputs = cast(DynamicsModel, learner), batch.objects, batch.tip_B3, batch.actions_BT3
-        if cfg.unroll:
-            found = unroll(*inputs)
-        else:
-            found = teacher_forced(*inputs, batch.translation_BTN3, batch.rotation_BTN33)
+        model = cast(DynamicsModel, learner)
+        found = _unroll(model, batch) if cfg.unroll else teacher_forced(model, batch)
         return loss_terms(found, batch, cfg.net.graph.unit_m, cfg.smoothing)
 
     def validate(learner: nn.Module) -> Mapping[str, float]:
-        model = cast(DynamicsModel, learner)
-        found = unroll(model, validation.objects, validation.tip_B3, validation.actions_BT3)
-        return errors(found, validation)
+        return errors(_unroll(cast(DynamicsModel, learner), validation), validation)
 
     rows = fit(model, batch_at, loss, cfg.weights, fit_cfg, work, torch.device("cpu"), validate)
     if model.num_samples > 1:
@@ -106,10 +101,13 @@ def train_dynamics(
 @torch.no_grad()
 def calibrate(model: DynamicsModel, validation: DynamicsBatch) -> None:
     """Fit the model's error model to its errors and spreads on held-out scenes."""
-    found = unroll(model, validation.objects, validation.tip_B3, validation.actions_BT3)
+    found = _unroll(model, validation)
     assert found.spread_BTN is not None
     predicted, true = found.translation_BTN3, validation.translation_BTN3
     valid_BN = validation.objects.valid_N
-    model.error_model = fit_error_model(
-        *errors_and_spreads(predicted, true, found.spread_BTN, valid_BN)
-    )
+    errors_TP, spreads_TP = errors_and_spreads(predicted, true, found.spread_BTN, valid_BN)
+    model.error_model = fit_error_model(errors_TP, spreads_TP)
+
+
+def _unroll(model: DynamicsModel, batch: DynamicsBatch) -> Rollout:
+    return unroll(model, batch.objects, batch.tip_B3, batch.actions_BT3)

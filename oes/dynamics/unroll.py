@@ -7,6 +7,7 @@ import roma
 import torch
 from torch import Tensor, nn
 
+from oes.dynamics.augment import DynamicsBatch
 from oes.dynamics.error_model import ErrorModel
 from oes.dynamics.graph import ObjectState, StepMotion, TipMotion
 from oes.objects import Objects, map_tensors
@@ -53,8 +54,7 @@ class Rollout:
 
 def initial_state(center_BN3: Tensor, valid_BN: Tensor) -> ObjectState:
     """State at t = 0: objects at rest."""
-    eye_33 = torch.eye(3, dtype=center_BN3.dtype, device=center_BN3.device)
-    zero = torch.zeros_like(center_BN3)
+    zero, eye_33 = torch.zeros_like(center_BN3), torch.eye(3).to(center_BN3)
     rotation_BN33 = eye_33.expand(*center_BN3.shape, 3)
     return ObjectState(center_BN3, zero, zero, zero, rotation_BN33, zero, valid_BN)
 
@@ -89,17 +89,21 @@ def unroll_mean(
     actions_BT3: Tensor,
 ) -> Rollout:
     """Mean of the model's samples from a given appearance and state."""
-    samples, batch = model.num_samples, len(tip_B3)
-    if samples == 1:
+    count = model.num_samples
+    if count == 1:
         return unroll_samples(model, appearance_BNC, state, tip_B3, actions_BT3)
-    states = map_tensors(state, lambda x: torch.cat([x] * samples))
-    tips, actions = torch.cat([tip_B3] * samples), torch.cat([actions_BT3] * samples)
-    each = unroll_samples(model, model.sample(appearance_BNC), states, tips, actions)
-    translation_MBTN3 = torch.unflatten(each.translation_BTN3, 0, (samples, batch))
+    each = unroll_samples(
+        model,
+        model.sample(appearance_BNC),
+        map_tensors(state, lambda x: torch.cat([x] * count)),
+        torch.cat([tip_B3] * count),
+        torch.cat([actions_BT3] * count),
+    )
+    translation_MBTN3 = torch.unflatten(each.translation_BTN3, 0, (count, -1))
     mean_BTN3 = translation_MBTN3.mean(0)
     spread_BTN = (translation_MBTN3 - mean_BTN3).square().sum(-1).mean(0).sqrt()
     # The mean of rotation matrices is projected back onto the rotations.
-    mean_BTN33 = torch.unflatten(each.rotation_BTN33, 0, (samples, batch)).mean(0)
+    mean_BTN33 = torch.unflatten(each.rotation_BTN33, 0, (count, -1)).mean(0)
     sigma_BTN = None if model.error_model is None else model.error_model.sigma(spread_BTN)
     return Rollout(mean_BTN3, roma.special_procrustes(mean_BTN33), sigma_BTN, spread_BTN)
 
@@ -113,30 +117,21 @@ def unroll_samples(
 ) -> Rollout:
     """One future of each given appearance, without averaging over samples."""
     assert actions_BT3.ndim == 3 and len(actions_BT3) == len(appearance_BNC), actions_BT3.shape
-    translations, rotations = [], []
+    states = []
     for action_B3 in actions_BT3.unbind(1):
         state = advance_state(state, model(appearance_BNC, state, TipMotion(tip_B3, action_B3)))
         tip_B3 = tip_B3 + action_B3
-        translations.append(state.displacement_BN3)
-        rotations.append(state.rotation_BN33)
-    return Rollout(torch.stack(translations, 1), torch.stack(rotations, 1))
+        states.append(state)
+    translation_BTN3 = torch.stack([state.displacement_BN3 for state in states], 1)
+    return Rollout(translation_BTN3, torch.stack([state.rotation_BN33 for state in states], 1))
 
 
-def teacher_forced(
-    model: DynamicsModel,
-    objects: Objects,
-    tip_B3: Tensor,
-    actions_BT3: Tensor,
-    translation_BTN3: Tensor,
-    rotation_BTN33: Tensor,
-) -> Rollout:
-    """As ``unroll``, but each step starts at the true state (translation and rotation) before it.
-
-    All steps run as one batch.
-    """
+def teacher_forced(model: DynamicsModel, batch: DynamicsBatch) -> Rollout:
+    """As ``unroll``, but every step starts at the true state; all steps run as one batch."""
+    objects, actions_BT3 = batch.objects, batch.actions_BT3
     steps, first = actions_BT3.shape[1], initial_state(objects.center_N3, objects.valid_N)
-    moved_BTN3 = _delayed(translation_BTN3, first.displacement_BN3)
-    rotated_BTN33 = _delayed(rotation_BTN33, first.rotation_BN33)
+    moved_BTN3 = _delayed(batch.translation_BTN3, first.displacement_BN3)
+    rotated_BTN33 = _delayed(batch.rotation_BTN33, first.rotation_BN33)
     step_BTN33 = rotated_BTN33 @ _delayed(rotated_BTN33, first.rotation_BN33).mT
     states = ObjectState(
         center_BN3=first.center_BN3[:, None] + moved_BTN3,
@@ -148,15 +143,13 @@ def teacher_forced(
         valid_BN=first.valid_BN[:, None].expand(-1, steps, -1),
     )
     state = map_tensors(states, lambda x_BT: x_BT.flatten(0, 1))
-    tip_BT3 = tip_B3[:, None] + _delayed(actions_BT3, torch.zeros_like(tip_B3)).cumsum(1)
+    before_BT3 = _delayed(actions_BT3, torch.zeros_like(batch.tip_B3)).cumsum(1)
+    tip_BT3 = batch.tip_B3[:, None] + before_BT3
     tip = TipMotion(tip_BT3.flatten(0, 1), actions_BT3.flatten(0, 1))
-    after = advance_state(
-        state, model(model.appearance(objects).repeat_interleave(steps, 0), state, tip)
-    )
-    return Rollout(
-        after.displacement_BN3.reshape(translation_BTN3.shape),
-        after.rotation_BN33.reshape(rotation_BTN33.shape),
-    )
+    appearance = model.appearance(objects).repeat_interleave(steps, 0)
+    after = advance_state(state, model(appearance, state, tip))
+    translation_BTN3 = after.displacement_BN3.reshape(moved_BTN3.shape)
+    return Rollout(translation_BTN3, after.rotation_BN33.reshape(rotated_BTN33.shape))
 
 
 def _delayed(x_BT: Tensor, first_B: Tensor) -> Tensor:

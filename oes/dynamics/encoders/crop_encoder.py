@@ -25,8 +25,7 @@ from oes.dynamics.graph import (
 )
 
 BEHIND_CELLS = 5  # of the path window; the rest lies ahead of the tip
-FAR_M = 0.07
-NOWHERE_M = 1e3  # path of an absent tip
+MAX_PATH_DISTANCE_M = 0.07
 PATH_CHANNELS = 2
 
 Slabs = tuple[Tensor, Tensor, Tensor]  # slabs BNCXY at t = 0, centres BN3, yaws since then BN
@@ -95,8 +94,7 @@ class CropEncoder(nn.Module):
         num, axes_B33 = slabs_BNCXY.shape[1], tip.axes_B33()
         window_B1P3 = (self.window_P3 @ axes_B33.mT)[:, None]
         node = self.sample(slabs, slabs[1][:, :, None] + window_B1P3)
-        start_B13 = tip.start_B3.nan_to_num(nan=NOWHERE_M)[:, None]
-        path_BP3 = start_B13 + self.path_window_P3 @ axes_B33.mT
+        path_BP3 = tip.finite_start_B3()[:, None] + self.path_window_P3 @ axes_B33.mT
         near_path = self.sample(slabs, path_BP3[:, None].expand(-1, num, -1, -1))
         path = self._path_image(tip.action_B3)[:, None].expand(-1, num, -1, -1, -1)
         ends: list[Slabs] = [
@@ -133,8 +131,8 @@ class CropEncoder(nn.Module):
         from_path_BP = torch.hypot(beyond_BP, across_P)
         from_start_BP = torch.hypot(along_P, across_P).expand_as(from_path_BP)
         distance_B2P = torch.stack([from_path_BP, from_start_BP], 1)
-        # Inputs of about [-0.5, 1.2]: distances beyond FAR_M all look alike.
-        scaled_B2P = distance_B2P.clamp(max=FAR_M) / 0.04 - 0.5
+        # Inputs of about [-0.5, 1.2]: distances beyond MAX_PATH_DISTANCE_M all look alike.
+        scaled_B2P = distance_B2P.clamp(max=MAX_PATH_DISTANCE_M) / 0.04 - 0.5
         return scaled_B2P.reshape(-1, PATH_CHANNELS, self.side, self.side)
 
 

@@ -7,14 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from oes.config import params
-from oes.dynamics.graph import (
-    GraphFeatures,
-    ObjectState,
-    TipMotion,
-    mlp,
-    pair_indices,
-    scatter_pairs,
-)
+from oes.dynamics import graph
+from oes.dynamics.graph import NOWHERE_M, GraphFeatures, ObjectState, TipMotion
 from oes.dynamics.rigid_body.bodies import ContactPhysics
 from oes.dynamics.shapes import ObjectShapes, ShapeUncertainty
 from oes.geom.polar import directions, normals, radius_in
@@ -25,7 +19,6 @@ AGENT_CHANNELS = 4  # offset (2) and distance from the rod's path, distance alon
 EDGE_CHANNELS = 6  # offset from the sender, depth inside it, height above its support, existence
 GAP_CHANNELS = 2  # clearance above and below the sender
 FAR_M = 0.1
-NOWHERE_M = 1e3
 
 
 @params
@@ -67,8 +60,8 @@ class PointNet(nn.Module):
 
     def __init__(self, inputs: int, cfg: SurfacePoints) -> None:
         super().__init__()
-        self.point_mlp = mlp(inputs, cfg.width, cfg.mlp_layers)
-        self.head = mlp(2 * cfg.width, cfg.width, 1)
+        self.point_mlp = graph.mlp(inputs, cfg.width, cfg.mlp_layers)
+        self.head = graph.mlp(2 * cfg.width, cfg.width, 1)
 
     def forward(self, points_PC: Tensor, presence_P: Tensor) -> Tensor:
         """Points are weighted by their existence probability ``presence_P``."""
@@ -92,46 +85,41 @@ class SurfaceEncoder(nn.Module):
     def forward(self, shapes: ObjectShapes, state: ObjectState, tip: TipMotion) -> GraphFeatures:
         """Features in the action's axes."""
         axes_B33, num = tip.axes_B33(), shapes.radius_BNRD.shape[1]
-        receiver_E, sender_E = pair_indices(num, axes_B33.device)
+        i_E, j_E = graph.pair_indices(num, axes_B33.device)
         with torch.no_grad():
             offset_BNP3, normal_BNP3, sigma_BNP, presence_BNP = self.points(shapes, state, axes_B33)
             points_BNP3 = offset_BNP3 + state.center_BN3[:, :, None] @ axes_B33[:, None]
-            scalars = [sigma_BNP[..., None], presence_BNP[..., None]]
-            height_BNP1 = points_BNP3[..., 2:] / self.unit_m
-            node_BNPC = torch.cat(
-                [offset_BNP3 / self.unit_m, normal_BNP3, *scalars, height_BNP1], -1
-            )
+            node = [offset_BNP3 / self.unit_m, normal_BNP3, sigma_BNP[..., None]]
+            node += [presence_BNP[..., None], points_BNP3[..., 2:] / self.unit_m]
+            node_BNPC = torch.cat(node, -1)
             agent_BNPC = torch.cat([node_BNPC, self._agent_inputs(points_BNP3, tip, axes_B33)], -1)
             edge_BNNPC = self.edge_inputs(shapes, state, points_BNP3, axes_B33)
-            edge_BEPC = torch.cat(
-                [node_BNPC[:, receiver_E], edge_BNNPC[:, receiver_E, sender_E]], -1
-            )
+            edge_BEPC = torch.cat([node_BNPC[:, i_E], edge_BNNPC[:, i_E, j_E]], -1)
         return GraphFeatures(
             node_BNC=self.node(node_BNPC, presence_BNP),
             agent_BNC=self.agent(agent_BNPC, presence_BNP),
-            edge_BNNC=scatter_pairs(self.edge(edge_BEPC, presence_BNP[:, receiver_E]), num),
+            edge_BNNC=graph.scatter_pairs(self.edge(edge_BEPC, presence_BNP[:, i_E]), num),
         )
 
     def points(
         self, shapes: ObjectShapes, state: ObjectState, axes_B33: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, ...]:
         """Points and normals BNP3 from the reference points, scaled sigmas BNP, presences BNP."""
         rows, stride = list(self.cfg.rows), self.cfg.direction_stride
         radius_BNRD = shapes.radius_BNRD[:, :, rows]
         xy_BNRD2 = radius_BNRD[..., None] * directions(radius_BNRD.shape[-1])
         # UNION and UPPER span all heights; their points get that of the lowest layer's middle.
-        layers_R = [max(row - LAYERS, 0) + 0.5 for row in rows]
-        height_R1 = torch.tensor(layers_R)[:, None] * self.cfg.layer_height_m
-        bottom_BN11 = self._bottom(shapes)[..., None, None]
-        z_BNRD1 = (height_R1 + bottom_BN11).expand(radius_BNRD.shape)[..., None]
-        offset = torch.cat([xy_BNRD2, z_BNRD1], -1)[..., ::stride, :].flatten(2, 3)
-        normal = torch.cat([normals(radius_BNRD), torch.zeros_like(z_BNRD1)], -1)
-        normal = normal[..., ::stride, :].flatten(2, 3)
+        layer_R = torch.tensor([max(row - LAYERS, 0) + 0.5 for row in rows])
+        z_BNR = (layer_R * self.cfg.layer_height_m) + self._bottom(shapes)[..., None]
+        z_BNRD1 = z_BNR[..., None].expand(radius_BNRD.shape)[..., None]
         to_action_BN33 = state.rotation_BN33.mT @ axes_B33[:, None]
-        sigma = shapes.sigma_BNRD[:, :, rows, ::stride].flatten(2) / self.unit_m
+        offset = torch.cat([xy_BNRD2, z_BNRD1], -1)
+        normal = torch.cat([normals(radius_BNRD), torch.zeros_like(z_BNRD1)], -1)
+        vectors = (x[..., ::stride, :].flatten(2, 3) @ to_action_BN33 for x in (offset, normal))
+        sigma = shapes.sigma_BNRD / self.unit_m
         presence = shapes.presence_BNRD * (shapes.radius_BNRD > 0)
-        presence = presence[:, :, rows, ::stride].flatten(2)
-        return offset @ to_action_BN33, normal @ to_action_BN33, sigma, presence
+        scalars = (x[:, :, rows, ::stride].flatten(2) for x in (sigma, presence))
+        return *vectors, *scalars
 
     def _bottom(self, shapes: ObjectShapes) -> Tensor:
         """Height BN of the lowest layer's bottom, from the reference point.
@@ -145,7 +133,7 @@ class SurfaceEncoder(nn.Module):
 
     def _agent_inputs(self, points_BNP3: Tensor, tip: TipMotion, axes_B33: Tensor) -> Tensor:
         """BNP4: offset (x, y) and distance from the rod's path, and the distance along the path."""
-        start_B13 = tip.start_B3.nan_to_num(nan=NOWHERE_M)[:, None] @ axes_B33
+        start_B13 = tip.finite_start_B3()[:, None] @ axes_B33
         length_B11 = tip.action_B3[:, :2].norm(dim=-1)[:, None, None]
         x_BNP, y_BNP = (points_BNP3[..., :2] - start_B13[:, None, :, :2]).unbind(-1)
         along_BNP = x_BNP.clamp(min=0).minimum(length_B11)
@@ -170,11 +158,10 @@ class SurfaceEncoder(nn.Module):
         height_BNNP = first_BNNP3[..., 2] - self._bottom(shapes)[:, None, :, None]
         layers_BNRD = shapes.radius_BNRD[:, :, LAYERS:]
         layers_ERD = layers_BNRD[:, None].expand(-1, num, -1, -1, -1).flatten(0, 2)
-        points_EP2 = first_BNNP3[..., :2].flatten(0, 2)
+        points_EP2, top = first_BNNP3[..., :2].flatten(0, 2), layers_BNRD.shape[2] - 1
         layer_BNNP = (height_BNNP / layer_height_m).floor().long()
-        top = layers_BNRD.shape[2] - 1
-        row_EP = layer_BNNP.clamp(0, top).flatten(0, 2)
-        radius_BNNP = radius_in(layers_ERD, row_EP, points_EP2).reshape(height_BNNP.shape)
+        radius_EP = radius_in(layers_ERD, layer_BNNP.clamp(0, top).flatten(0, 2), points_EP2)
+        radius_BNNP = radius_EP.reshape(height_BNNP.shape)
         depth_BNNP = radius_BNNP - first_BNNP3[..., :2].norm(dim=-1)
         exists_BNNP = (layer_BNNP >= 0) & (layer_BNNP <= top) & (radius_BNNP > 0)
         lengths = [offset_BNNP3, depth_BNNP[..., None], height_BNNP[..., None]]
@@ -184,32 +171,25 @@ class SurfaceEncoder(nn.Module):
         return torch.cat([near, exists_BNNP.float()[..., None]], -1)
 
     def _gaps(
-        self, height_BN: Tensor, layers_ERD: Tensor, points_EP2: Tensor, point_z_BNNP: Tensor
+        self, height_BN: Tensor, layers_ERD: Tensor, points_EP2: Tensor, z_BNNP: Tensor
     ) -> Tensor:
         """BNNP2: clearance of each point's layer above the sender's top and below its bottom.
 
         Measured along the point's vertical; negative when they overlap, ``NOWHERE_M`` where the
         sender has no surface. An object's highest layer ends at the top of its box.
         """
-        layer_height_m, count, points = (
-            self.cfg.layer_height_m,
-            layers_ERD.shape[1],
-            points_EP2.shape[1],
-        )
+        layer_m, count, points = self.cfg.layer_height_m, layers_ERD.shape[1], z_BNNP.shape[-1]
         row_EQ = torch.arange(count).repeat_interleave(points).expand(len(layers_ERD), -1)
         radius_EQ = radius_in(layers_ERD, row_EQ, points_EP2.repeat(1, count, 1))
         is_over_EQ = radius_EQ > points_EP2.norm(dim=-1).repeat(1, count)
-        is_over_BNNRP = is_over_EQ.reshape(*point_z_BNNP.shape[:3], count, points)
-        bottom_R1 = torch.arange(count)[:, None] * layer_height_m
-        top_BNR1 = (bottom_R1 + layer_height_m).minimum(height_BN[..., None, None])
+        is_over_BNNRP = is_over_EQ.reshape(*z_BNNP.shape[:3], count, points)
+        bottom_R1 = torch.arange(count)[:, None] * layer_m
+        top_BNR1 = (bottom_R1 + layer_m).minimum(height_BN[..., None, None])
         sender_top_BNNP = torch.where(is_over_BNNRP, top_BNR1[:, None], -NOWHERE_M).amax(-2)
         sender_bottom_BNNP = torch.where(is_over_BNNRP, bottom_R1, NOWHERE_M).amin(-2)
         layer_R = torch.tensor(self.cfg.rows) - LAYERS
         layer_P = layer_R.repeat_interleave(points // len(layer_R))
-        own_top_BNP = ((layer_P + 1) * layer_height_m).minimum(height_BN[..., None])
-        above_BNP = own_top_BNP - (layer_P + 0.5) * layer_height_m
-        clearances = [
-            point_z_BNNP - layer_height_m / 2 - sender_top_BNNP,
-            sender_bottom_BNNP - (point_z_BNNP + above_BNP[:, :, None]),
-        ]
-        return torch.stack(clearances, -1)
+        own_top_BNP = ((layer_P + 1) * layer_m).minimum(height_BN[..., None])
+        above_BNP = own_top_BNP - (layer_P + 0.5) * layer_m
+        below_BNNP = sender_bottom_BNNP - (z_BNNP + above_BNP[:, :, None])
+        return torch.stack([z_BNNP - layer_m / 2 - sender_top_BNNP, below_BNNP], -1)
