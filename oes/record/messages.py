@@ -1,4 +1,4 @@
-"""The ROS 2 messages of an episode: standard types (Humble), five of our own, and their topics.
+"""The ROS 2 messages of an episode: standard types (Humble), our own (msg/), and their topics.
 
 ``oes_msgs`` hold every number of an Episode exactly, matrices row-major in float64. ROS field names
 are lower case, so ``world_from_obj`` is ``world_T_obj``. The standard messages repeat for viewers
@@ -8,6 +8,7 @@ what ``oes_msgs`` hold.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,51 +17,7 @@ from rosbags.typesys.store import Typestore
 
 from oes.episode import Floats
 
-DEFINITIONS = {
-    "oes_msgs/msg/Body": """
-        string mesh
-        string category
-        float64[3] scale
-        float64 mass_kg
-        float64 friction
-        int64 texture_seed
-    """,
-    "oes_msgs/msg/EpisodeInfo": """
-        string task
-        string split
-        int64 index
-        int64 seed
-        uint32 num_steps
-        float64 rod_rms_m
-        oes_msgs/Body[] bodies
-        string[] camera_names
-    """,
-    "oes_msgs/msg/Action": """
-        std_msgs/Header header
-        uint32 step_i
-        float64[3] displacement_m
-    """,
-    "oes_msgs/msg/ObjectState": """
-        float64[16] world_from_obj
-        float64[3] center_m
-        float64[3] size_m
-    """,
-    "oes_msgs/msg/StepState": """
-        std_msgs/Header header
-        uint32 step_i
-        int64 t_ns
-        oes_msgs/ObjectState[] objects
-        float64[3] tip_m
-        float64[] joints_rad
-        float64[] world_from_links
-        uint8[] touched
-        float64[] intrinsics
-        float64[] world_from_cams
-        uint32[] widths_px
-        uint32[] heights_px
-    """,
-}
-
+MSG_FILES = Path(__file__).parent / "msg"
 INFO, ACTION, STATE = "/episode", "/action", "/step"
 STATE_TOPICS = (INFO, STATE, ACTION)
 IMAGE_KINDS = ("color/image_raw", "depth/image_rect_raw", "segmentation/image_raw")
@@ -120,8 +77,9 @@ def image_topics(camera_names: Sequence[str]) -> list[str]:
 def typestore() -> Typestore:
     """ROS 2 Humble's types and ours; made once a process (0.1 s)."""
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in DEFINITIONS.items():
-        store.register(get_types_from_msg(text, name))
+    for path in MSG_FILES.glob("*.msg"):
+        text = path.read_text(encoding="utf-8")
+        store.register(get_types_from_msg(text, f"oes_msgs/msg/{path.stem}"))
     return store
 
 

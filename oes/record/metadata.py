@@ -22,40 +22,39 @@ class Contents:
 
 def metadata_text(bag_name: str, contents: Contents) -> str:
     """The text of metadata.yaml for a folder whose one MCAP file is ``bag_name``."""
-    span = {
+    information = {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        **_span(contents),
+        "topics_with_message_count": [
+            {"topic_metadata": _topic(topic, typename), "message_count": contents.counts[topic]}
+            for topic, typename in contents.types.items()
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [bag_name],
+        "files": [{"path": bag_name, **_span(contents)}],
+        "custom_data": None,
+        "ros_distro": "humble",
+    }
+    tree = {"rosbag2_bagfile_information": information}
+    return yaml.dump(tree, Dumper=yaml.CSafeDumper, sort_keys=False)
+
+
+def _span(contents: Contents) -> dict[str, object]:
+    # Made anew for each use: YAML writes a dictionary that occurs twice as an alias.
+    return {
         "starting_time": {"nanoseconds_since_epoch": contents.start_ns},
         "duration": {"nanoseconds": contents.end_ns - contents.start_ns},
         "message_count": sum(contents.counts.values()),
     }
-    information = {
-        "version": VERSION,
-        "storage_identifier": "mcap",
-        **span,
-        "topics_with_message_count": [_topic(contents, topic) for topic in contents.types],
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [bag_name],
-        "files": [{"path": bag_name, **span}],
-        "custom_data": None,
-        "ros_distro": "humble",
-    }
-    return yaml.dump({"rosbag2_bagfile_information": information}, Dumper=_Plain, sort_keys=False)
 
 
-def _topic(contents: Contents, topic: str) -> dict[str, object]:
-    typename = contents.types[topic]
-    metadata = {
+def _topic(topic: str, typename: str) -> dict[str, str]:
+    return {
         "name": topic,
         "type": typename,
         "serialization_format": "cdr",
         "offered_qos_profiles": "",
         "type_description_hash": type_hash(typename),
     }
-    return {"topic_metadata": metadata, "message_count": contents.counts[topic]}
-
-
-class _Plain(yaml.CSafeDumper):
-    """Writes equal values out instead of as YAML aliases, which people find hard to read."""
-
-    def ignore_aliases(self, data: object) -> bool:
-        return True
