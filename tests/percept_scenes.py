@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from oes.episode import Body, Camera, Episode, Frames, Step
-from oes.geom.boxes import hull
+from oes.geom.boxes import aabb
 from oes.geom.camera import intrinsics, look_at
 from oes.geom.se3 import inverse, rigid, rotation_z, transform
 from oes.geom.voxels import Grid
@@ -173,7 +173,7 @@ def _episode(rng: np.random.Generator, index: int, size_px: int) -> Episode:
         )
         for i, name in enumerate(names)
     ]
-    boxes = [hull(transform(pose, _corners(name))) for name, pose in zip(names, poses, strict=True)]
+    boxes = [aabb(transform(pose, _corners(name))) for name, pose in zip(names, poses, strict=True)]
     bodies = tuple(
         Body(name, "box", np.ones(3), 0.2, 0.5, int(rng.integers(1000))) for name in names
     )

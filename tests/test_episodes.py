@@ -14,7 +14,7 @@ from oes.config import load
 from oes.episode import Episode
 from oes.episodes.capture import Failure, capture_split, episode_folder
 from oes.episodes.dataset_card import displacement_mm, has_object_contact, statistics, write_card
-from oes.geom.boxes import hull
+from oes.geom.boxes import aabb
 from oes.geom.se3 import transform
 from oes.meshes.catalogue import Catalogue
 from oes.record.dataset import read_states
@@ -79,7 +79,7 @@ def test_every_true_box_holds_its_posed_mesh(episodes: list[Episode], catalogue:
                     step.world_T_obj_N44[i],
                     catalogue.meshes[body.mesh].visual.vertices * body.scale_3,
                 )
-                center, size = hull(points)
+                center, size = aabb(points)
                 assert np.abs(center - step.center_N3[i]).max() < 1e-9
                 assert np.abs(size - step.size_N3[i]).max() < 1e-9
                 assert -3e-3 < points[:, 2].min() < 0.02  # contact gives way by a millimetre or two

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from oes.geom.boxes import base, hull, iou
+from oes.geom.boxes import support_height, aabb, iou
 from oes.geom.camera import intrinsics, look_at, project, unproject
 from oes.geom.se3 import from_quat_xyzw, inverse, quat_xyzw, rigid, rotation_z, transform
 
@@ -77,11 +77,11 @@ def test_project_undoes_unproject_at_every_pixel_centre() -> None:
 def test_what_seems_to_begin_near_the_table_stands_on_it() -> None:
     center, size = torch.tensor([[0.0, 0.0, 0.03]]).repeat(4, 1), torch.zeros(4, 3)
     size[:, 2] = torch.tensor([0.07, 0.06, 0.04, 0.03])
-    torch.testing.assert_close(base(center, size), torch.tensor([0.0, 0.0, 0.0, 0.015]))
+    torch.testing.assert_close(support_height(center, size), torch.tensor([0.0, 0.0, 0.0, 0.015]))
 
 
 def test_hull_and_iou_match_hand_computed_boxes() -> None:
-    center, size = hull(np.array([[0.0, 0, 0], [2, 4, 6], [1, 1, 1]]))
+    center, size = aabb(np.array([[0.0, 0, 0], [2, 4, 6], [1, 1, 1]]))
     np.testing.assert_allclose((center, size), ([1, 2, 3], [2, 4, 6]))
     unit = np.ones(3)
     shifted = np.array([[0.5, 0, 0], [1.0, 0, 0], [3.0, 0, 0], [0.0, 0, 0]])

@@ -12,7 +12,7 @@ import trimesh
 
 from oes.config import ParamsError, from_json, load, to_json
 from oes.episode import Body, Floats
-from oes.geom.boxes import hull
+from oes.geom.boxes import aabb
 from oes.geom.camera import project
 from oes.geom.se3 import inverse, rigid, rotation_z, transform
 from oes.meshes.catalogue import Catalogue, save_catalogue, write_mesh
@@ -125,7 +125,7 @@ def test_true_boxes_hold_the_posed_meshes(catalogue: Catalogue, world: World) ->
     step = world.step(0, ())
     for i, body in enumerate(bodies):
         vertices = catalogue.meshes[body.mesh].visual.vertices * body.scale_3
-        center, size = hull(transform(step.world_T_obj_N44[i], vertices))
+        center, size = aabb(transform(step.world_T_obj_N44[i], vertices))
         assert center == pytest.approx(step.center_N3[i], abs=1e-9)
         assert size == pytest.approx(step.size_N3[i], abs=1e-9)
 

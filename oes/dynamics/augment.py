@@ -11,7 +11,7 @@ from torch import Tensor
 
 from oes.config import params
 from oes.dynamics.graph import yaw_rotation
-from oes.geom.polar import directions, radius_in
+from oes.geom.polar import directions, row_radius_at
 from oes.objects import Objects
 
 MIRROR_PROBABILITY = 0.5
@@ -132,7 +132,7 @@ def _interpolate(profile_PCD: Tensor, first_row: int, direction_PRD2: Tensor) ->
     """Values PRD of the R rows from ``first_row`` on, in directions of their own."""
     rows, count = direction_PRD2.shape[1:3]
     row_PQ = torch.arange(first_row, first_row + rows).repeat_interleave(count)
-    found_PQ = radius_in(
+    found_PQ = row_radius_at(
         profile_PCD, row_PQ.expand(len(profile_PCD), -1), direction_PRD2.flatten(1, 2)
     )
     return found_PQ.reshape(direction_PRD2.shape[:-1])

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from oes.config import params
 from oes.dynamics.rigid_body.bodies import RigidBodies
-from oes.geom.boxes import base
+from oes.geom.boxes import support_height
 from oes.geom.polar import directions
 from oes.objects import LAYERS, SUPPORT, UNION, UPPER, Objects, map_tensors
 
@@ -164,7 +164,7 @@ def shapes_of(objects: Objects) -> ObjectShapes:
         com_BN3=objects.com_offset_N3,
         mass_factor_BN=torch.ones_like(z_BN),
         friction_factor_BN=torch.ones_like(z_BN),
-        support_depth_BN=z_BN - base(objects.center_N3, objects.size_N3),
+        support_depth_BN=z_BN - support_height(objects.center_N3, objects.size_N3),
         height_BN=objects.size_N3[..., 2],
     )
 

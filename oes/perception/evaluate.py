@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from oes.episode import Camera, Episode, Floats, Frames
-from oes.geom.boxes import base, iou
+from oes.geom.boxes import support_height, iou
 from oes.geom.voxels import Grid, voxelize
 from oes.metrics.errors import Boxes, average_precision, chamfer_mm, normal_deg
 from oes.metrics.image_metrics import image_quality
@@ -122,7 +122,7 @@ def _surface_errors(
     matched detection.
     """
     radial_profile_NRD3 = perceiver.surfaces(scene, *boxes, mask_NXYZ)[0].float().cpu()
-    foot_N3 = torch.cat([boxes[0][:, :2], base(*boxes)[:, None]], -1)
+    foot_N3 = torch.cat([boxes[0][:, :2], support_height(*boxes)[:, None]], -1)
     top_N = boxes[0][:, 2] + boxes[1][:, 2] / 2 - foot_N3[:, 2]
     errors = []
     for outline, foot_3, top, (true_P3, true_normal_P3) in zip(

@@ -11,7 +11,7 @@ import trimesh
 from torch import Tensor
 
 from oes.episode import Body, Episode, Floats
-from oes.geom.polar import directions, normals
+from oes.geom.polar import directions, profile_normals
 from oes.meshes.catalogue import Catalogue
 from oes.objects import LAYERS
 from oes.perception.surface import PRESENCE, RADIUS, Cylinder
@@ -131,7 +131,7 @@ def _side(radius_K: Tensor, side_K2: Tensor, height_m: float) -> tuple[Tensor, T
     """One ring of points."""
     there_K = radius_K > 0
     points_K3 = _raised(radius_K[:, None] * side_K2, height_m)
-    return points_K3[there_K], _raised(normals(radius_K), 0.0)[there_K]
+    return points_K3[there_K], _raised(profile_normals(radius_K), 0.0)[there_K]
 
 
 def _lid(

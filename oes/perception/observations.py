@@ -19,7 +19,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from oes.config import params
-from oes.geom.boxes import base
+from oes.geom.boxes import support_height
 from oes.meshes.catalogue import TRAIN
 from oes.objects import Objects
 from oes.perception.evaluate import (
@@ -172,7 +172,7 @@ class ScenePerceiver:
         mass_N3 = torch.full_like(objects.center_N3, torch.nan)
         found = np.flatnonzero(gt_N >= 0)
         foot_N3 = objects.center_N3.clone()
-        foot_N3[:, 2] = base(objects.center_N3, objects.size_N3)
+        foot_N3[:, 2] = support_height(objects.center_N3, objects.size_N3)
         true_radius, true_mass = self.shells.outlines(
             self.source.episodes[episode_i],
             0,

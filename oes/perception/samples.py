@@ -15,7 +15,7 @@ from torch import Tensor
 
 from oes.config import params
 from oes.episode import Camera, Episode, Floats, Frames
-from oes.geom.boxes import hull
+from oes.geom.boxes import aabb
 from oes.geom.se3 import rigid, rotation_z
 from oes.geom.voxels import Grid
 from oes.perception.lift import Views
@@ -138,7 +138,7 @@ class Sampler:
         views = transform_views(*self.source.read(episode_i, step_i, camera_is), motion)
         posed = zip(episode.bodies, step.world_T_obj_N44, strict=True)
         solids = [motion.points(self.solids.posed(body, pose)) for body, pose in posed]
-        boxes = [hull(points) for points in solids]
+        boxes = [aabb(points) for points in solids]
         inside = [i for i, (center, _) in enumerate(boxes) if _is_inside(self.grid, center)]
         center_N3 = np.array([boxes[i][0] for i in inside]).reshape(-1, 3)
         size_N3 = np.array([boxes[i][1] for i in inside]).reshape(-1, 3)

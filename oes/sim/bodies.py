@@ -9,7 +9,7 @@ import shapely
 
 from oes.config import params
 from oes.episode import Body, Floats
-from oes.geom.boxes import hull
+from oes.geom.boxes import aabb
 from oes.geom.se3 import from_quat_xyzw, inverse, quat_xyzw, rigid, rotation_z, transform
 from oes.sim.client import Bullet
 
@@ -126,7 +126,7 @@ def upright(mesh: "Mesh", body: Body, xy_m: Floats, yaw_rad: float) -> Floats:
 
 def true_box(mesh: "Mesh", body: Body, world_T_obj: Floats) -> tuple[Floats, Floats]:
     """Centre and size of the axis-aligned box (world axes) around the posed mesh."""
-    return hull(transform(world_T_obj, mesh.visual.vertices * body.scale_3))
+    return aabb(transform(world_T_obj, mesh.visual.vertices * body.scale_3))
 
 
 def body_footprint(mesh: "Mesh", body: Body, world_T_obj: Floats) -> shapely.Geometry:

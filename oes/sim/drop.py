@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from oes.config import params
 from oes.episode import Body, Floats
-from oes.geom.boxes import hull
+from oes.geom.boxes import aabb
 from oes.geom.se3 import rigid, transform
 from oes.sim.bodies import body_footprint
 from oes.sim.scene import ScatterConfig, SceneRejected
@@ -52,7 +52,7 @@ def draw_drop(
     place = _place(meshes, bodies, standing_N44, cfg, rng)
     turn_33 = Rotation.random(random_state=rng).as_matrix()
     points_P3 = meshes[-1].visual.vertices * bodies[-1].scale_3 @ turn_33.T
-    center_3, size_3 = hull(points_P3)
+    center_3, size_3 = aabb(points_P3)
     pose = rigid(turn_33, np.array([*(place - center_3[:2]), 0.0]))
     outline = body_footprint(meshes[-1], bodies[-1], pose)
     beneath_m = max((top_m for shadow, top_m in _standing(meshes, bodies, standing_N44) if shadow.intersects(outline)),

@@ -11,7 +11,7 @@ import shapely
 
 from oes.config import params
 from oes.episode import Body, Floats
-from oes.geom.boxes import hull
+from oes.geom.boxes import aabb
 from oes.sim.bodies import BodiesConfig, body_footprint, draw_body, upright
 from oes.sim.robot import RobotConfig
 
@@ -214,7 +214,7 @@ def _place_next(
         if is_ahead:
             reach = (
                 _extent(others[0], first_xy, forward)
-                + hull(mesh.visual.vertices * body.scale_3)[1][:2].mean() / 2
+                + aabb(mesh.visual.vertices * body.scale_3)[1][:2].mean() / 2
             )
             beyond = first_xy + (reach + rng.uniform(*cfg.ahead_m)) * forward
             pose = upright(

@@ -11,7 +11,7 @@ from oes.dynamics import graph
 from oes.dynamics.graph import NOWHERE_M, GraphFeatures, ObjectState, TipMotion
 from oes.dynamics.rigid_body.bodies import ContactPhysics
 from oes.dynamics.shapes import ObjectShapes, ShapeUncertainty
-from oes.geom.polar import directions, normals, radius_in
+from oes.geom.polar import directions, profile_normals, row_radius_at
 from oes.objects import LAYERS
 
 NODE_CHANNELS = 9  # offset, normal, sigma and presence of a point, and its height above the table
@@ -114,7 +114,7 @@ class SurfaceEncoder(nn.Module):
         z_BNRD1 = z_BNR[..., None].expand(radius_BNRD.shape)[..., None]
         to_action_BN33 = state.rotation_BN33.mT @ axes_B33[:, None]
         offset = torch.cat([xy_BNRD2, z_BNRD1], -1)
-        normal = torch.cat([normals(radius_BNRD), torch.zeros_like(z_BNRD1)], -1)
+        normal = torch.cat([profile_normals(radius_BNRD), torch.zeros_like(z_BNRD1)], -1)
         vectors = (x[..., ::stride, :].flatten(2, 3) @ to_action_BN33 for x in (offset, normal))
         sigma = shapes.sigma_BNRD / self.unit_m
         presence = shapes.presence_BNRD * (shapes.radius_BNRD > 0)
@@ -160,7 +160,7 @@ class SurfaceEncoder(nn.Module):
         layers_ERD = layers_BNRD[:, None].expand(-1, num, -1, -1, -1).flatten(0, 2)
         points_EP2, top = first_BNNP3[..., :2].flatten(0, 2), layers_BNRD.shape[2] - 1
         layer_BNNP = (height_BNNP / layer_height_m).floor().long()
-        radius_EP = radius_in(layers_ERD, layer_BNNP.clamp(0, top).flatten(0, 2), points_EP2)
+        radius_EP = row_radius_at(layers_ERD, layer_BNNP.clamp(0, top).flatten(0, 2), points_EP2)
         radius_BNNP = radius_EP.reshape(height_BNNP.shape)
         depth_BNNP = radius_BNNP - first_BNNP3[..., :2].norm(dim=-1)
         exists_BNNP = (layer_BNNP >= 0) & (layer_BNNP <= top) & (radius_BNNP > 0)
@@ -180,7 +180,7 @@ class SurfaceEncoder(nn.Module):
         """
         layer_m, count, points = self.cfg.layer_height_m, layers_ERD.shape[1], z_BNNP.shape[-1]
         row_EQ = torch.arange(count).repeat_interleave(points).expand(len(layers_ERD), -1)
-        radius_EQ = radius_in(layers_ERD, row_EQ, points_EP2.repeat(1, count, 1))
+        radius_EQ = row_radius_at(layers_ERD, row_EQ, points_EP2.repeat(1, count, 1))
         is_over_EQ = radius_EQ > points_EP2.norm(dim=-1).repeat(1, count)
         is_over_BNNRP = is_over_EQ.reshape(*z_BNNP.shape[:3], count, points)
         bottom_R1 = torch.arange(count)[:, None] * layer_m

@@ -12,7 +12,7 @@ from oes.dynamics.rigid_body.contact_detection import Bodies, detect_table
 from oes.dynamics.rigid_body.contact_manifold import empty_manifold, update_manifold
 from oes.dynamics.rigid_body.substeps import State, StepSettings, advance_substeps
 from oes.episode import Floats
-from oes.geom.polar import corners, normals
+from oes.geom.polar import profile_points, profile_normals
 from oes.objects import map_tensors
 
 BREAKING = 0.02  # breaking distance of a contact over the bounding radius, as in Bullet
@@ -117,7 +117,7 @@ def _upright_state(bodies: RigidBodies, start: PlanarState, tip_B2: Tensor) -> S
 def compile_bodies(bodies: RigidBodies, cfg: ContactPhysics) -> Bodies:
     """Bodies as arrays for the kernels, with everything that follows from their profiles."""
     rod_vertex_BND2, vertex_BND2 = (
-        corners(profile) - bodies.com_offset_BN2[..., None, :]
+        profile_points(profile) - bodies.com_offset_BN2[..., None, :]
         for profile in (bodies.rod_profile_BND, bodies.profile_BND)
     )
     radius_BND = torch.maximum(rod_vertex_BND2.norm(dim=-1), vertex_BND2.norm(dim=-1))
@@ -132,7 +132,7 @@ def compile_bodies(bodies: RigidBodies, cfg: ContactPhysics) -> Bodies:
         rod_max_z_BND=_array(bodies.rod_max_z_BND),
         profile_BND=_array(bodies.profile_BND),
         vertex_BND2=_array(vertex_BND2),
-        normal_BND2=_array(normals(bodies.profile_BND)),
+        normal_BND2=_array(profile_normals(bodies.profile_BND)),
         com_offset_BN2=_array(bodies.com_offset_BN2),
         com_height_BN=_array(bodies.com_height_BN),
         radius_BN=_array(radius_BND.amax(-1)),
