@@ -1,6 +1,4 @@
-"""Geometry: group axioms of rigid motions, project(unproject) = identity, hand-computed
-overlaps.
-"""
+"""Group axioms of rigid motions, project(unproject) = identity, hand-computed box overlaps."""
 
 import numpy as np
 import pytest
@@ -74,13 +72,13 @@ def test_project_undoes_unproject_at_every_pixel_centre() -> None:
     np.testing.assert_allclose(z, depth.flatten().numpy(), atol=1e-12)
 
 
-def test_what_seems_to_begin_near_the_table_stands_on_it() -> None:
+def test_boxes_whose_bottom_is_near_the_table_stand_on_it() -> None:
     center, size = torch.tensor([[0.0, 0.0, 0.03]]).repeat(4, 1), torch.zeros(4, 3)
     size[:, 2] = torch.tensor([0.07, 0.06, 0.04, 0.03])
     torch.testing.assert_close(support_height(center, size), torch.tensor([0.0, 0.0, 0.0, 0.015]))
 
 
-def test_hull_and_iou_match_hand_computed_boxes() -> None:
+def test_aabb_and_iou_match_hand_computed_boxes() -> None:
     center, size = aabb(np.array([[0.0, 0, 0], [2, 4, 6], [1, 1, 1]]))
     np.testing.assert_allclose((center, size), ([1, 2, 3], [2, 4, 6]))
     unit = np.ones(3)
