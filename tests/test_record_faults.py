@@ -60,6 +60,13 @@ def test_a_sound_episode_passes(sound: Path) -> None:
     check_episode(sound)
 
 
+def test_an_episode_of_one_state_passes(tmp_path: Path) -> None:
+    """Its topic of actions has no message."""
+    episode = make_episode(num_steps=1)
+    write_episode(episode, make_frames(episode), tmp_path / "traj_000000")
+    check_episode(tmp_path / "traj_000000")
+
+
 def test_no_flipped_bit_is_silently_wrong(damaged: Path) -> None:
     """The check finds every flip; a plain read raises or returns the truth; neither maps 200 MB
     more.

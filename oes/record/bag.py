@@ -180,5 +180,6 @@ def _parse_summary(data: bytes) -> Summary:
                 chunks.append(record)
             case Statistics():
                 counts = record.channel_message_counts
-    by_topic = {channels[channel_id].topic: count for channel_id, count in counts.items()}
+    # The statistics omit channels without a message, as of the actions of a single state.
+    by_topic = {channel.topic: counts.get(channel.id, 0) for channel in channels.values()}
     return Summary(schemas, channels, tuple(chunks), by_topic)
