@@ -15,12 +15,6 @@ from oes.counterfactual.compose import (
     forecast_poses,
     initial_poses,
 )
-from oes.counterfactual.counterfactuals import (
-    UNEDITED,
-    Counterfactual,
-    edit_rows,
-    run_counterfactuals,
-)
 from oes.counterfactual.edits import (
     EDIT_TYPES,
     Scenario,
@@ -31,8 +25,15 @@ from oes.counterfactual.edits import (
     remove_object,
     resize_object,
 )
-from oes.counterfactual.evaluate import FutureEvaluator, _image_errors
-from oes.counterfactual.forecast import STATIC, forecast_motions, true_motions
+from oes.counterfactual.evaluate import FutureEvaluator, _image_errors, edit_rows
+from oes.counterfactual.forecast import (
+    STATIC,
+    UNEDITED,
+    Counterfactual,
+    forecast_motions,
+    run_counterfactuals,
+    true_motions,
+)
 from oes.counterfactual.runner import FuturesConfig
 from oes.dynamics.reference_models import Static
 from oes.episode import Frames

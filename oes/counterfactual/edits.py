@@ -3,19 +3,19 @@
 Every edit changes the initial state given to Bullet and the perceived objects alike.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from oes.config import params
 from oes.counterfactual.compose import PoseTable
-from oes.episode import Body, Episode, Floats, Step
+from oes.episode import Episode, Floats
 from oes.evaluation.forecasters import PerceivedScene
 from oes.geom.se3 import rotation_z
 from oes.geom.voxels import Grid, centers, sample
-from oes.objects import Objects, map_tensors
+from oes.objects import map_tensors
 from oes.perception.surface import scale_profiles
 
 EDIT_TYPES = ("move", "resize", "remove", "add", "push")
@@ -55,61 +55,49 @@ class Scenario:
 
 def move_object(scenario: Scenario, i: int, shift_3: Floats) -> Scenario:
     """Shift the perceived object ``i``, and the true object matched to it if any (metres)."""
-    true_i, first = scenario.scene.truth[i], scenario.episode.steps[0]
-    world_T_obj_N44, center_N3 = first.world_T_obj_N44.copy(), first.center_N3.copy()
+    edited, true_i = _copied(scenario), scenario.scene.truth[i]
     if true_i >= 0:
-        world_T_obj_N44[true_i, :3, 3] += shift_3
-        center_N3[true_i] += shift_3
+        first = edited.episode.steps[0]
+        first.world_T_obj_N44[true_i, :3, 3] += shift_3
+        first.center_N3[true_i] += shift_3
     shift = torch.from_numpy(shift_3).float()
-    objects, poses = scenario.scene.objects, scenario.poses
-    objects = replace(objects, center_N3=_row_added(objects.center_N3, i, shift))
-    poses = replace(poses, translation_N3=_row_added(poses.translation_N3, i, shift))
-    first = replace(first, world_T_obj_N44=world_T_obj_N44, center_N3=center_N3)
-    return _edited(scenario, scenario.episode.bodies, first, objects, poses)
+    edited.scene.objects.center_N3[i] += shift
+    edited.poses.translation_N3[i] += shift
+    return edited
 
 
 def resize_object(scenario: Scenario, i: int, factor: float, window: Grid) -> Scenario:
-    """Scale the perceived object ``i`` and its true object about their base on the table."""
-    true_i, first = scenario.scene.truth[i], scenario.episode.steps[0]
+    """Scale the perceived object ``i`` and its true object about their base on the table.
+
+    ``window`` is the grid of the object crops.
+    """
+    edited, true_i = _copied(scenario), scenario.scene.truth[i]
+    first, objects, poses = edited.episode.steps[0], edited.scene.objects, edited.poses
     base_3 = first.center_N3[true_i] * [1, 1, 0]
-    world_T_obj_N44, center_N3 = first.world_T_obj_N44.copy(), first.center_N3.copy()
-    for position_3 in (world_T_obj_N44[true_i, :3, 3], center_N3[true_i]):
+    for position_3 in (first.world_T_obj_N44[true_i, :3, 3], first.center_N3[true_i]):
         position_3[:] = base_3 + factor * (position_3 - base_3)
-    size_N3 = first.size_N3.copy()
-    size_N3[true_i] *= factor
-    bodies = list(scenario.episode.bodies)
-    bodies[true_i] = replace(bodies[true_i], scale_3=bodies[true_i].scale_3 * factor)
-    first = replace(first, world_T_obj_N44=world_T_obj_N44, center_N3=center_N3, size_N3=size_N3)
-    objects, up = _resized(scenario.scene.objects, i, factor, window)
-    scale_N = scenario.poses.scale_N.clone()
-    scale_N[i] *= factor
-    translation_N3 = _row_added(scenario.poses.translation_N3, i, up)
-    poses = replace(scenario.poses, translation_N3=translation_N3, scale_N=scale_N)
-    return _edited(scenario, tuple(bodies), first, objects, poses)
-
-
-def _resized(objects: Objects, i: int, factor: float, window: Grid) -> tuple[Objects, Tensor]:
-    """Objects with one scaled about its base, and the shift of its centre."""
-    up = torch.tensor([0, 0, float(objects.center_N3[i, 2]) * (factor - 1)])
-    changed = map_tensors(objects, torch.clone)
-    crop_CXYZ = objects.crop_NCXYZ[i]
+    first.size_N3[true_i] *= factor
+    crop_CXYZ, profile_RD3 = objects.crop_NCXYZ[i], objects.radial_profile_NRD3[i]
     points_1P3 = (centers(window) / factor).reshape(1, -1, 3)
     crop_PC = sample(crop_CXYZ[None].float(), window, points_1P3)[0]
-    changed.crop_NCXYZ[i] = crop_PC.T.reshape(crop_CXYZ.shape)
-    changed.radial_profile_NRD3[i] = scale_profiles(objects.radial_profile_NRD3[i], factor)
-    changed.size_N3[i] *= factor
-    changed.com_offset_N3[i] *= factor
-    changed.center_N3[i] += up
-    return changed, up
+    crop_CXYZ[:] = crop_PC.T.reshape(crop_CXYZ.shape)
+    profile_RD3[:] = scale_profiles(profile_RD3, factor)
+    up = torch.tensor([0, 0, float(objects.center_N3[i, 2]) * (factor - 1)])
+    for positions in (objects.center_N3, poses.translation_N3):
+        positions[i] += up
+    for lengths in (objects.size_N3, objects.com_offset_N3, poses.scale_N):
+        lengths[i] *= factor
+    bodies = list(scenario.episode.bodies)
+    bodies[true_i] = replace(bodies[true_i], scale_3=bodies[true_i].scale_3 * factor)
+    return replace(edited, episode=replace(edited.episode, bodies=tuple(bodies)))
 
 
 def remove_object(scenario: Scenario, i: int) -> Scenario:
     """Remove the perceived object ``i`` and its true object."""
-    scene, true_i = scenario.scene, scenario.scene.truth[i]
-    left = [n for n in range(len(scene.truth)) if n != i]
+    truth, true_i = scenario.scene.truth, scenario.scene.truth[i]
+    left = [n for n in range(len(truth)) if n != i]
     others = [n for n in range(len(scenario.episode.bodies)) if n != true_i]
-    truth = [n - (n > true_i) for n in (scene.truth[k] for k in left)]
-    return _selected(scenario, truth, left, others)
+    return _selected(scenario, [truth[n] - (truth[n] > true_i) for n in left], left, others)
 
 
 def add_object(scenario: Scenario, i: int, shift_3: Floats) -> Scenario:
@@ -121,9 +109,9 @@ def add_object(scenario: Scenario, i: int, shift_3: Floats) -> Scenario:
 
 def shift_rod(scenario: Scenario, shift_3: Floats) -> Scenario:
     """Start the rod elsewhere."""
-    steps = scenario.episode.steps
-    first = replace(steps[0], tip_world_3=steps[0].tip_world_3 + shift_3)
-    return replace(scenario, episode=replace(scenario.episode, steps=(first, *steps[1:])))
+    first, *later = scenario.episode.steps
+    first = replace(first, tip_world_3=first.tip_world_3 + shift_3)
+    return replace(scenario, episode=replace(scenario.episode, steps=(first, *later)))
 
 
 def redirect_push(scenario: Scenario, turn_rad: float) -> Scenario:
@@ -132,23 +120,14 @@ def redirect_push(scenario: Scenario, turn_rad: float) -> Scenario:
     return replace(scenario, episode=replace(scenario.episode, actions_T3=actions_T3))
 
 
-def _row_added(values: Tensor, i: int, change: Tensor) -> Tensor:
-    changed = values.clone()
-    changed[i] += change
-    return changed
-
-
 def _selected(
-    scenario: Scenario, truth: list[int], perceived: list[int], true: list[int]
+    scenario: Scenario, truth: Sequence[int], perceived: list[int], true: list[int]
 ) -> Scenario:
-    """Keep the given perceived and true objects, in this order, some twice.
+    """Copy with some of the perceived and true objects, in the given order.
 
     ``truth`` are the new matches of the perceived objects.
     """
-    scenario = replace(scenario, scene=replace(scenario.scene, truth=truth))
-    objects = map_tensors(scenario.scene.objects, lambda x: x[perceived])
-    poses = map_tensors(scenario.poses, lambda x: x[perceived])
-    first = scenario.episode.steps[0]
+    first, *later = scenario.episode.steps
     first = replace(
         first,
         world_T_obj_N44=first.world_T_obj_N44[true],
@@ -156,16 +135,17 @@ def _selected(
         size_N3=first.size_N3[true],
     )
     bodies = tuple(scenario.episode.bodies[n] for n in true)
-    return _edited(scenario, bodies, first, objects, poses)
-
-
-def _edited(
-    scenario: Scenario, bodies: tuple[Body, ...], first: Step, objects: Objects, poses: PoseTable
-) -> Scenario:
-    steps = (first, *scenario.episode.steps[1:])
-    episode = replace(scenario.episode, bodies=bodies, steps=steps)
-    scene = replace(scenario.scene, objects=objects)
+    episode = replace(scenario.episode, bodies=bodies, steps=(first, *later))
+    objects = map_tensors(scenario.scene.objects, lambda x: x[perceived])
+    poses = map_tensors(scenario.poses, lambda x: x[perceived])
+    scene = replace(scenario.scene, objects=objects, truth=truth)
     return replace(scenario, episode=episode, scene=scene, poses=poses)
+
+
+def _copied(scenario: Scenario) -> Scenario:
+    """Copy whose initial state, objects and poses can be changed in place."""
+    truth = scenario.scene.truth
+    return _selected(scenario, truth, [*range(len(truth))], [*range(len(scenario.episode.bodies))])
 
 
 def draw_edit(
@@ -219,12 +199,9 @@ def _is_free(scenario: Scenario, true_i: int, cfg: EditsConfig) -> bool:
     """Whether a true object's upright cylinder is clear of the others and the rod, on the table."""
     first = scenario.episode.steps[0]
     xy_N2, z_N = first.center_N3[:, :2], first.center_N3[:, 2]
-    radius_N, half_height_N = (
-        np.linalg.norm(first.size_N3[:, :2], axis=1) / 2,
-        first.size_N3[:, 2] / 2,
-    )
+    radius_N, height_N = np.linalg.norm(first.size_N3[:, :2], axis=1) / 2, first.size_N3[:, 2] / 2
     lateral_N = np.linalg.norm(xy_N2 - xy_N2[true_i], axis=1) - radius_N - radius_N[true_i]
-    vertical_N = np.abs(z_N - z_N[true_i]) - half_height_N - half_height_N[true_i]
+    vertical_N = np.abs(z_N - z_N[true_i]) - height_N - height_N[true_i]
     gap_N = np.maximum(lateral_N, vertical_N)
     gap_N[true_i] = np.inf
     to_rod = np.linalg.norm(first.tip_world_3[:2] - xy_N2[true_i]) - radius_N[true_i]

@@ -1,4 +1,4 @@
-"""Evaluation of composed futures: as images, as features, and by detection from several views."""
+"""Errors of counterfactual forecasts: of motions, images, features and detections."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
@@ -9,9 +9,11 @@ from torch import Tensor
 
 from oes.counterfactual.compose import DecomposedScene, compose, visible_features
 from oes.counterfactual.edits import Scenario
-from oes.counterfactual.forecast import ObjectMotion
+from oes.counterfactual.forecast import Counterfactual, ObjectMotion
 from oes.episode import SEG_FIRST_OBJECT, SEG_ROBOT, Bools, Camera, Episode, Floats, Frames
+from oes.evaluation.forecasters import to_gt_objects, true_forecast
 from oes.geom.voxels import Grid, centers
+from oes.metrics.errors import rotation_deg, translation_mm
 from oes.perception.evaluate import match_detections, picture_quality
 from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
@@ -140,3 +142,26 @@ def _in_boxes(episode: Episode, T: int, grid: Grid) -> Tensor:
             offset = (points_XYZ3 - torch.from_numpy(center_3).float()).abs()
             inside_XYZ |= (offset <= torch.from_numpy(size_3).float() / 2).all(-1)
     return inside_XYZ
+
+
+def edit_rows(counterfactual: Counterfactual, horizons: Sequence[int]) -> Iterator[FutureRow]:
+    """Errors per model, true object and horizon (steps); undetected objects count as static."""
+    scenario, simulated = counterfactual.scenario, counterfactual.simulated
+    true = true_forecast(simulated, scenario.episode.steps[0].center_N3)
+    for name, motion in counterfactual.forecasts.items():
+        arrays = (motion.translation_TN3.double().numpy(), motion.rotation_TN33.double().numpy())
+        forecast = to_gt_objects(scenario.scene, scenario.episode, *arrays)
+        error_mm_TN = translation_mm(forecast.translation_TN3, true.translation_TN3)
+        error_deg_TN = rotation_deg(forecast.rotation_TN33, true.rotation_TN33)
+        for object_i, T in ((i, T) for i in range(len(forecast.detected_N)) for T in horizons):
+            yield {
+                "task": simulated.task,
+                "episode_i": scenario.scene.episode_i,
+                "edit": counterfactual.edit,
+                "model": name,
+                "object_i": object_i,
+                "T": T,
+                "translation_mm": round(float(error_mm_TN[T - 1, object_i]), 4),
+                "rotation_deg": round(float(error_deg_TN[T - 1, object_i]), 4),
+                "detected": int(forecast.detected_N[object_i]),
+            }

@@ -1,6 +1,7 @@
-"""Perception of an episode's first image, and forecasts of its objects' motion."""
+"""Counterfactuals: edited scenarios, forecast by models and simulated by Bullet (4, A.2)."""
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,16 +15,25 @@ from oes.counterfactual.compose import (
     forecast_poses,
     initial_poses,
 )
-from oes.counterfactual.edits import Scenario
+from oes.counterfactual.edits import EditsConfig, Scenario, draw_edit
 from oes.dynamics.examples import stack, true_motion
 from oes.dynamics.unroll import DynamicsModel, unroll
 from oes.episode import Episode
 from oes.evaluation.forecasters import PerceivedScene
+from oes.geom.voxels import Grid
+from oes.meshes.catalogue import Catalogue
 from oes.perception.evaluate import match_detections
 from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
+from oes.sim.arm import ReachError
+from oes.sim.client import BulletError
+from oes.sim.simulate import replay_bodies
+from oes.sim.world import SimConfig
 
-STATIC, TRUTH = "static", "truth"
+log = logging.getLogger(__name__)
+
+STATIC, TRUTH = "static", "truth"  # names of motions besides the models'
+UNEDITED = "none"
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,16 @@ class ObjectMotion:
         if T == 0:
             return initial
         return forecast_poses(initial, self.rotation_TN33[T - 1], self.translation_TN3[T - 1])
+
+
+@dataclass(frozen=True)
+class Counterfactual:
+    """A scenario, the type of its edit, its simulation and the forecasts of each model."""
+
+    edit: str
+    scenario: Scenario
+    simulated: Episode
+    forecasts: Mapping[str, ObjectMotion]
 
 
 def perceive_first_state(
@@ -88,3 +108,29 @@ def true_motions(scenario: Scenario, simulated: Episode) -> ObjectMotion:
     return ObjectMotion(
         torch.from_numpy(translation_TN3).float(), torch.from_numpy(rotation_TN33).float()
     )
+
+
+def run_counterfactuals(
+    scenario: Scenario,
+    edits: Sequence[str],
+    cfg: EditsConfig,
+    window: Grid,
+    rng: np.random.Generator,
+    world: tuple[Catalogue, SimConfig, Mapping[str, DynamicsModel]],
+) -> Iterator[Counterfactual]:
+    """The unedited scenario, then a random edit of each type, simulated and forecast.
+
+    Edits that are not feasible or cannot be simulated are left out.
+    """
+    catalogue, sim, models = world
+    yield Counterfactual(UNEDITED, scenario, scenario.episode, forecast_motions(scenario, models))
+    for edit in edits:
+        edited = draw_edit(edit, scenario, cfg, window, rng)
+        if edited is None:
+            continue
+        try:
+            simulated = replay_bodies(catalogue, sim, edited.episode, edited.episode.bodies)
+        except (ReachError, BulletError) as error:
+            log.warning("episode %d: %s left out: %s", scenario.scene.episode_i, edit, error)
+            continue
+        yield Counterfactual(edit, edited, simulated, forecast_motions(edited, models))

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from oes.counterfactual.compose import DecomposedScene, compose
-from oes.counterfactual.counterfactuals import Counterfactual
+from oes.counterfactual.forecast import Counterfactual
 from oes.episode import Camera, Episode
 from oes.episodes.capture import scene_renderer
 from oes.meshes.catalogue import Catalogue

@@ -3,17 +3,21 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from oes.config import Shared, params
 from oes.counterfactual.compose import DecomposedScene
-from oes.counterfactual.counterfactuals import Counterfactual, edit_rows, run_counterfactuals
 from oes.counterfactual.edits import EDIT_TYPES, EditsConfig
-from oes.counterfactual.evaluate import FutureEvaluator, FutureRow
-from oes.counterfactual.forecast import TRUTH, perceive_first_state, true_motions
+from oes.counterfactual.evaluate import FutureEvaluator, FutureRow, edit_rows
+from oes.counterfactual.forecast import (
+    TRUTH,
+    Counterfactual,
+    perceive_first_state,
+    run_counterfactuals,
+    true_motions,
+)
 from oes.counterfactual.gallery import FutureRenderer, write_gallery, write_predictions, zoomed
 from oes.dynamics.unroll import DynamicsModel
 from oes.episodes.capture import scene_renderer
@@ -69,20 +73,16 @@ class FuturesRunner:
 
     def run(self, progress: Path, gallery: Path) -> dict[str, list[FutureRow]]:
         """Rows by table (``oes.schema.FUTURES``); reuses episodes already in ``progress``."""
-        count = min(self.cfg.num_episodes, len(self.source))
+        cfg, count = self.cfg, min(self.cfg.num_episodes, len(self.source))
         paths = {progress / f"{episode_i:06d}.json": episode_i for episode_i in range(count)}
-        resumable_map(
-            partial(self._write, gallery),
-            paths,
-            num_workers=self.cfg.num_workers,
-            desc=f"futures {self.task}",
-            unit="episode",
-        )
-        episodes = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
-        return {name: [row for rows in episodes for row in rows.get(name, [])] for name in FUTURES}
 
-    def _write(self, gallery: Path, episode_i: int, path: Path) -> None:
-        path.write_text(json.dumps(self.run_episode(episode_i, gallery)), encoding="utf-8")
+        def make(episode_i: int, path: Path) -> None:
+            path.write_text(json.dumps(self.run_episode(episode_i, gallery)), encoding="utf-8")
+
+        desc = f"futures {self.task}"
+        resumable_map(make, paths, num_workers=cfg.num_workers, desc=desc, unit="episode")
+        done = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+        return {name: [row for rows in done for row in rows.get(name, [])] for name in FUTURES}
 
     def run_episode(self, episode_i: int, gallery: Path) -> dict[str, list[FutureRow]]:
         """The rows of one episode, perceived by a random camera that is not a query camera."""
