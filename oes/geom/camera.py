@@ -19,7 +19,7 @@ def intrinsics(fov_deg: float, width_px: int, height_px: int) -> Floats:
 def look_at(eye: Floats, target: Floats) -> Floats:
     """``world_T_cam`` of a camera at ``eye`` that looks at ``target`` without roll.
 
-    Raises ValueError for a vertical line of sight, which leaves the roll undefined.
+    Raises ValueError for a vertical viewing direction, which leaves the roll undefined.
     """
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from oes.episode import Camera, Episode, Floats, Frames
-from oes.geom.boxes import support_height, iou
+from oes.episode import Camera, Episode, Floats, Frames, Ints
+from oes.geom.assignment import assign
+from oes.geom.boxes import iou, support_height
 from oes.geom.voxels import Grid, voxelize
 from oes.metrics.errors import Boxes, average_precision, chamfer_mm, normal_deg
 from oes.metrics.image_metrics import image_quality
@@ -52,16 +52,9 @@ def true_objects(episode: Episode, step_i: int, solids: Solids) -> TrueObjects:
     return TrueObjects(step.center_N3, step.size_N3, tuple(posed), tuple(surfaces))
 
 
-def match_detections(found_N3: Floats, true_M3: Floats) -> NDArray[np.int64]:
-    """For each found centre the true one it stands for (-1: none): least total distance, pairs
-    within ``DETECTION_MATCH_M``.
-    """
-    distance = np.linalg.norm(found_N3[:, None] - true_M3[None], axis=-1)
-    rows, columns = linear_sum_assignment(np.where(distance <= DETECTION_MATCH_M, distance, 1e3))
-    matched = np.full(len(found_N3), -1, dtype=np.int64)
-    near = distance[rows, columns] <= DETECTION_MATCH_M
-    matched[rows[near]] = columns[near]
-    return matched
+def match_detections(predicted_N3: Floats, true_N3: Floats) -> Ints:
+    """Index of the true centre within ``DETECTION_MATCH_M`` assigned to each prediction, or -1."""
+    return assign(predicted_N3, true_N3, DETECTION_MATCH_M)
 
 
 def mask_ious(
