@@ -120,7 +120,7 @@ def test_a_replay_is_exact_with_the_true_bodies_and_differs_with_others(
         assert np.abs(heavy.steps[-1].center_N3 - episode.steps[-1].center_N3).max() > 1e-4
 
 
-def test_unknown_words_and_impossible_scenes_are_refused(catalogue: Catalogue) -> None:
+def test_unknown_tasks_and_impossible_scenes_are_refused(catalogue: Catalogue) -> None:
     with pytest.raises(ValueError, match="unknown task 'juggling'"):
         simulate(catalogue, CFG, "juggling", "train", 0)
     with pytest.raises(KeyError, match="test9"):
@@ -144,7 +144,7 @@ def digest(folder: Path) -> str:
     ).hexdigest()
 
 
-def test_a_split_is_captured_and_goes_on_where_it_stopped(
+def test_a_split_is_captured_and_resumes_where_it_stopped(
     folder: Path, catalogue: Catalogue, tmp_path: Path
 ) -> None:
     whole, broken = tmp_path / "whole", tmp_path / "broken"

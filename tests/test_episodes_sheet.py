@@ -123,11 +123,11 @@ def test_mosaic_puts_each_view_in_its_place() -> None:
         assert (whole[y : y + 4, x : x + 6] == view_i).all()
 
 
-def test_pictures_of_depth_and_segmentation() -> None:
+def test_images_of_depth_and_segmentation() -> None:
     depth = np.array([[[0.0, 1.0, 2.0]]], np.float32)
-    picture = depth_image(depth, 1.0, 2.0)[0, 0].tolist()
-    assert picture[0] == [255, 255, 255]
-    assert sum(picture[1]) > sum(picture[2])
+    image = depth_image(depth, 1.0, 2.0)[0, 0].tolist()
+    assert image[0] == [255, 255, 255]
+    assert sum(image[1]) > sum(image[2])
     ids = seg_image(np.array([[[0, 1, 2, 3, 4]]], np.uint8))[0, 0]
     assert len({tuple(color) for color in ids.tolist()}) == 5
 

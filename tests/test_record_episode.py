@@ -139,7 +139,7 @@ def test_episodes_that_contradict_themselves_are_refused(tmp_path: Path) -> None
             write_episode(wrong, make_frames(episode), tmp_path / "traj_000000")
 
 
-def test_asking_for_what_is_not_there(split: Path) -> None:
+def test_missing_states_and_cameras_are_refused(split: Path) -> None:
     for step_i, camera_i in [(3, 0), (-1, 0), (0, 27), (0, -1)]:
         with pytest.raises(EpisodeError, match=r"no state|no camera"):
             read_frames(split / "traj_000000", step_i, [camera_i])

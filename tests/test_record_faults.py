@@ -133,8 +133,8 @@ def test_truncated_file_is_recovered_up_to_its_last_whole_state(
     path.write_bytes(path.read_bytes()[: int(0.8 * path.stat().st_size)])
     out = tmp_path / "rescued" / "traj_000000"
     kept = recover(damaged, out)
-    assert 1 <= kept.steps < kept.steps_due == 3
-    assert 0 < kept.messages < kept.messages_due
+    assert 1 <= kept.steps < kept.expected_steps == 3
+    assert 0 < kept.messages < kept.expected_messages
     check_episode(out)
     assert_equal(read_episode(out).steps, make_episode().steps[: kept.steps])
     assert_equal(
@@ -144,7 +144,7 @@ def test_truncated_file_is_recovered_up_to_its_last_whole_state(
 
 def test_recovering_a_sound_file_gives_the_same_bytes(sound: Path, tmp_path: Path) -> None:
     kept = recover(sound, tmp_path / sound.name)
-    assert (kept.steps, kept.messages) == (kept.steps_due, kept.messages_due)
+    assert (kept.steps, kept.messages) == (kept.expected_steps, kept.expected_messages)
     assert bag_of(tmp_path / sound.name).read_bytes() == bag_of(sound).read_bytes()
 
 

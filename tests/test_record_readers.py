@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def due_counts() -> dict[str, int]:
+def expected_counts() -> dict[str, int]:
     return topic_counts(
         tuple(camera.name for camera in make_episode(num_steps=1).steps[0].cameras), 3
     )
@@ -61,7 +61,7 @@ def pixel_digests() -> dict[str, str]:
 def test_rosbags_reads_every_message_by_the_definitions_in_the_file(folder: Path) -> None:
     store = get_typestore(Stores.EMPTY)
     with Reader(folder) as reader:
-        assert {c.topic: c.msgcount for c in reader.connections} == due_counts()
+        assert {c.topic: c.msgcount for c in reader.connections} == expected_counts()
         for typename, text in {c.msgtype: c.msgdef.data for c in reader.connections}.items():
             store.register(get_types_from_msg(text, typename))
         stamps_ns = {step.t_ns + 1_000_000_000 for step in make_episode().steps}
@@ -111,7 +111,7 @@ def test_metadata_is_version_8(folder: Path) -> None:
     topics = [topic["topic_metadata"] for topic in information["topics_with_message_count"]]
     assert {topic["offered_qos_profiles"] for topic in topics} == {""}
     with Reader(folder) as reader:
-        assert reader.message_count == sum(due_counts().values())
+        assert reader.message_count == sum(expected_counts().values())
         assert (reader.start_time, reader.duration) == (1_000_000_000, 400_000_001)
 
 
@@ -121,7 +121,7 @@ def test_javascript_reads_the_same(folder: Path) -> None:
     command = ["node", str(JS / "read.mjs"), str(folder / "traj_000000_0.mcap")]
     seen = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     assert seen["profile"] == "ros2"
-    assert seen["counts"] == due_counts()
+    assert seen["counts"] == expected_counts()
     assert seen["pixels"] == pixel_digests()
     for state, step in zip(seen["states"], make_episode().steps, strict=True):
         assert state["tip_m"] == step.tip_world_3.tolist()

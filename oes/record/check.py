@@ -48,15 +48,15 @@ def _check_message(episode: Episode, topic: str, message: Message, position: int
         return
     name, kind = topic[1:].split("/", 1)
     camera = next(camera for camera in step.cameras if camera.name == name)
-    size, due = (content.width, content.height), (camera.width_px, camera.height_px)
-    if size != due:
-        raise ValueError(f"{topic} has size {size}, its camera {due}")
+    size, expected = (content.width, content.height), (camera.width_px, camera.height_px)
+    if size != expected:
+        raise ValueError(f"{topic} has size {size}, its camera {expected}")
     if kind in ros.INFO_KINDS:
         if not np.array_equal(content.k.reshape(3, 3), camera.K_33):
             raise ValueError(f"the intrinsics of {topic} differ from those of the state")
     elif len(content.data) != content.step * content.height:
         num_bytes = content.step * content.height
-        raise ValueError(f"{topic} has {len(content.data)} bytes, {num_bytes} are due")
+        raise ValueError(f"{topic} has {len(content.data)} bytes, {num_bytes} are expected")
 
 
 def _check_metadata(folder: Path, path: Path, summary: Summary) -> None:
@@ -65,9 +65,12 @@ def _check_metadata(folder: Path, path: Path, summary: Summary) -> None:
     types = {channel.topic: ros.topic_type(channel.topic) for channel in channels}
     start_ns = min(chunk.message_start_time for chunk in summary.chunks)
     end_ns = max(chunk.message_end_time for chunk in summary.chunks)
-    due = metadata_text(path.name, Contents(types, summary.counts, start_ns, end_ns))
+    expected = metadata_text(path.name, Contents(types, summary.counts, start_ns, end_ns))
     metadata = folder / "metadata.yaml"
     with episode_errors(metadata):
         # The size comes first, so that a huge file is not read.
-        if metadata.stat().st_size != len(due) or metadata.read_text(encoding="utf-8") != due:
+        if (
+            metadata.stat().st_size != len(expected)
+            or metadata.read_text(encoding="utf-8") != expected
+        ):
             raise EpisodeError(metadata, "does not describe the MCAP file beside it")

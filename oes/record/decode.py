@@ -23,7 +23,7 @@ def episode_from(messages: Mapping[str, Sequence[memoryview]]) -> Episode:
         [decode(SCENE_TYPES[topic], data) for data in messages[topic]] for topic in STATE_TOPICS
     )
     if len(infos) != 1:
-        raise ValueError(f"{len(infos)} messages of {INFO} where one is due")
+        raise ValueError(f"{len(infos)} messages of {INFO} where one is expected")
     [info] = infos
     if [state.step_i for state in states] != list(range(info.num_steps)) or info.num_steps == 0:
         raise ValueError(f"{len(states)} states where {info.num_steps} are announced")
@@ -94,7 +94,7 @@ def _pixels(image: Any, encoding: str) -> NDArray[Any]:
     """The pixels H W (or H W 3) of an Image message, a view of its bytes."""
     dtype, channels = ENCODINGS[encoding]
     if image.encoding != encoding or image.is_bigendian:
-        raise ValueError(f"an image of encoding {image.encoding!r} where {encoding!r} is due")
+        raise ValueError(f"an image of encoding {image.encoding!r} where {encoding!r} is expected")
     shape = (image.height, image.width) + ((channels,) if channels > 1 else ())
     pixels: NDArray[Any] = image.data.view(dtype).reshape(shape)
     return pixels

@@ -60,8 +60,8 @@ def _recover(folder: Path, out: Path) -> str:
         kept = recover(folder, out)
     except (EpisodeError, FileExistsError) as error:
         return f"not recovered: {error}"
-    states = f"{kept.steps} of {kept.steps_due} states whole"
-    return f"{out}: {states}, {kept.messages} of {kept.messages_due} messages read"
+    states = f"{kept.steps} of {kept.expected_steps} states whole"
+    return f"{out}: {states}, {kept.messages} of {kept.expected_messages} messages read"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

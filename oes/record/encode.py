@@ -39,10 +39,10 @@ def image_messages(step: Step, frames: Frames) -> Iterator[ros.Encoded]:
 
     Raises ValueError if the images do not fit the step's cameras, or a depth exceeds 16 bits.
     """
-    due = {(len(step.cameras), camera.height_px, camera.width_px) for camera in step.cameras}
+    expected = {(len(step.cameras), camera.height_px, camera.width_px) for camera in step.cameras}
     shapes = {frames.rgb_VHW3.shape[:3], frames.depth_m_VHW.shape, frames.seg_VHW.shape}
-    if shapes != due:
-        raise ValueError(f"images {frames.rgb_VHW3.shape} do not fit the cameras {due}")
+    if shapes != expected:
+        raise ValueError(f"images {frames.rgb_VHW3.shape} do not fit the cameras {expected}")
     depth_mm_VHW = np.rint(frames.depth_m_VHW * np.float32(MM_PER_M))
     if not (depth_mm_VHW.min() >= 0 and depth_mm_VHW.max() <= MAX_DEPTH_MM):  # refuses NaN too
         raise ValueError(f"depth outside 0..{MAX_DEPTH_MM} mm")

@@ -21,7 +21,7 @@ def bag_path(folder: Path) -> Path:
     """The MCAP file of an episode folder. Raises EpisodeError unless there is exactly one."""
     paths = sorted(folder.glob("*.mcap"))
     if len(paths) != 1:
-        raise EpisodeError(folder, f"{len(paths)} MCAP files where one is due")
+        raise EpisodeError(folder, f"{len(paths)} MCAP files where one is expected")
     return paths[0]
 
 
@@ -82,9 +82,9 @@ def channel_ids(summary: Summary, topics: set[str]) -> dict[int, str]:
     ids = {}
     for channel_id, channel in summary.channels.items():
         if channel.topic in topics:
-            due = ros.topic_type(channel.topic)
-            if known.get(channel.schema_id) != due:
-                raise ValueError(f"the type of {channel.topic} is not our {due}")
+            expected = ros.topic_type(channel.topic)
+            if known.get(channel.schema_id) != expected:
+                raise ValueError(f"the type of {channel.topic} is not our {expected}")
             ids[channel_id] = channel.topic
     if missing := topics - set(ids.values()):
         raise ValueError(f"no topic {', '.join(sorted(missing))}")
@@ -94,9 +94,9 @@ def channel_ids(summary: Summary, topics: set[str]) -> dict[int, str]:
 def check_counts(path: Path, counts: Mapping[str, int], episode: Episode) -> None:
     """Raise EpisodeError if a topic has another number of messages than the episode's states."""
     names = tuple(camera.name for camera in episode.steps[0].cameras)
-    for topic, due in ros.topic_counts(names, len(episode.steps)).items():
-        if (count := counts.get(topic, 0)) != due:
-            raise EpisodeError(path, f"{count} messages of {topic} where {due} are due")
+    for topic, expected in ros.topic_counts(names, len(episode.steps)).items():
+        if (count := counts.get(topic, 0)) != expected:
+            raise EpisodeError(path, f"{count} messages of {topic} where {expected} are expected")
 
 
 def _messages(

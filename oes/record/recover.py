@@ -28,12 +28,12 @@ Survivors = dict[str, dict[int, memoryview]]  # topic -> sequence number -> seri
 
 @dataclass(frozen=True)
 class Recovered:
-    """Number of recovered states (with all images) and messages, and the numbers due."""
+    """Number of recovered states (with all images) and messages, and the numbers expected."""
 
     steps: int
-    steps_due: int
+    expected_steps: int
     messages: int
-    messages_due: int
+    expected_messages: int
 
 
 def recover(folder: Path, out: Path) -> Recovered:
@@ -61,9 +61,9 @@ def recover(folder: Path, out: Path) -> Recovered:
     steps, actions_T3 = episode.steps[:num_steps], episode.actions_T3[: num_steps - 1]
     shorter = replace(episode, actions_T3=actions_T3, steps=steps)
     write_episode(shorter, _frames(shorter, images), out)
-    due = ros.topic_counts(names, len(episode.steps))
+    expected = ros.topic_counts(names, len(episode.steps))
     num_messages = sum(len(each) for each in found.values())
-    return Recovered(num_steps, len(episode.steps), num_messages, sum(due.values()))
+    return Recovered(num_steps, len(episode.steps), num_messages, sum(expected.values()))
 
 
 def _survivors(data: bytes) -> Survivors:
