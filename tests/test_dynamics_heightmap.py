@@ -37,7 +37,7 @@ def box(half_x: int, half_y: int, half_z: int) -> Tensor:
 def test_a_box_has_its_underside_and_top_at_half_its_height_however_it_is_turned(
     turned: Tensor, half_y: int, half_z: int
 ) -> None:
-    coverage, underside, top = (x[0] for x in make_encoder().maps(box(3, 2, 4)[None], turned[None]))
+    coverage, underside, top = make_encoder().maps(box(3, 2, 4)[None], turned[None])[0]
     expected = torch.zeros(16, 16)
     expected[5:11, 8 - half_y : 8 + half_y] = 1
     torch.testing.assert_close(coverage, expected, atol=1e-4, rtol=0)

@@ -1,12 +1,10 @@
 """Encoder of falling objects: height maps of undersides and tops in their current orientation.
 
-The clearance of an object's underside above the table and above other objects' tops decides when
-and where it stops, and how it rotates then. The first frame's mask therefore moves with the object
-(rotations about any axis) and every step renders it as two height maps, which a CNN reads. The
-closest points of two surfaces and the slopes there are given as numbers too.
+The gap from an object's underside down to the table and to other objects decides when and where it
+stops, and how it rotates then. The first frame's mask moves with the object (rotations about any
+axis), and every step renders it as two height maps, which a CNN reads. The smallest gaps and the
+slopes there are given as numbers too.
 """
-
-from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -26,15 +24,14 @@ MAX_SLOPE = 3.0
 MIN_COVERAGE = 0.5
 
 Ends = tuple[Tensor, Tensor]  # receivers E and senders E among the O objects
-# Maps OXY: coverage (0 to 1), coverage x underside, coverage x top (metres from the centre).
-HeightMaps = tuple[Tensor, Tensor, Tensor]
 
 
 class HeightmapEncoder(nn.Module):
     """Graph features of one step from height maps; the tip is ignored.
 
     No gradient flows through the objects' poses. O counts the valid objects of all scenes, E the
-    pairs of them.
+    pairs of them. Maps O3XY: coverage (0 to 1), coverage x underside, coverage x top (metres from
+    the centre).
     """
 
     voxels_P3: Tensor
@@ -58,9 +55,9 @@ class HeightmapEncoder(nn.Module):
             axes_B33, ends = tip.axes_B33(), _ends(valid_BN, pairs_BNN)
             center_O3 = (state.center_BN3 @ axes_B33)[valid_BN]
             rotation_O33 = (axes_B33.mT[:, None] @ state.rotation_BN33)[valid_BN]
-            maps = self.maps(mask_BNXYZ[valid_BN], rotation_O33)
-            node_O4XY = self.node_windows(maps, center_O3)
-            edge_E8XY = self.edge_windows(maps, center_O3, ends)
+            maps_O3XY = self.maps(mask_BNXYZ[valid_BN], rotation_O33)
+            node_O4XY = self.node_windows(maps_O3XY, center_O3)
+            edge_E8XY = self.edge_windows(maps_O3XY, center_O3, ends)
             table_gap_OC = self.table_gaps(node_O4XY)
             object_gap_EC = self.object_gaps(edge_E8XY, center_O3, ends)
         edge_BNNC = _scatter(torch.cat([self.edge(edge_E8XY), object_gap_EC], -1), pairs_BNN)
@@ -70,8 +67,8 @@ class HeightmapEncoder(nn.Module):
             edge_BNNC=edge_BNNC,
         )
 
-    def maps(self, mask_OXYZ: Tensor, rotation_O33: Tensor) -> HeightMaps:
-        """Height maps, from each object's centre, of masks rotated by ``rotation_O33``."""
+    def maps(self, mask_OXYZ: Tensor, rotation_O33: Tensor) -> Tensor:
+        """Maps O3XY of masks rotated by ``rotation_O33``."""
         first_OP3 = self.voxels_P3 @ rotation_O33
         grid = (first_OP3 * (2 / self.crop_m)).flip(-1).reshape(-1, *[self.side] * 3, 3)
         now_OXYZ = F.grid_sample(mask_OXYZ[:, None], grid, align_corners=False)[:, 0]
@@ -79,35 +76,30 @@ class HeightmapEncoder(nn.Module):
         # Expected height of the first occupied voxel that a vertical ray meets, from either side.
         underside = _first_hit(now_OXYZ) @ height_Z
         top = _first_hit(now_OXYZ.flip(-1)) @ height_Z.flip(0)
-        return 1 - (1 - now_OXYZ).prod(-1), underside, top
+        return torch.stack([1 - (1 - now_OXYZ).prod(-1), underside, top], 1)
 
-    def node_windows(self, maps: HeightMaps, center_O3: Tensor) -> Tensor:
+    def node_windows(self, maps_O3XY: Tensor, center_O3: Tensor) -> Tensor:
         """O4XY: coverage, underside above the table, underside and top from the centre."""
-        coverage, underside, top = maps
+        coverage, underside, top = maps_O3XY.unbind(1)
         above_table = underside + coverage * center_O3[:, 2, None, None]
         return torch.stack([coverage, *(x / self.unit_m for x in (above_table, underside, top))], 1)
 
-    def edge_windows(self, maps: HeightMaps, center_O3: Tensor, ends: Ends) -> Tensor:
-        """E8XY, midway between receivers and senders: coverages, undersides, tops, gaps.
+    def edge_windows(self, maps_O3XY: Tensor, center_O3: Tensor, ends: Ends) -> Tensor:
+        """E8XY, midway between receiver and sender: coverages, undersides, tops and gaps of both.
 
         Heights are from the receiver's centre. The gaps are from the receiver's underside down to
         the sender's top, and from the sender's underside down to the receiver's top.
         """
         middle_E2 = (center_O3[ends[0], :2] + center_O3[ends[1], :2]) / 2
-        maps_O3XY = torch.stack(maps, 1)
-        coverage, underside, top = zip(
-            *(self._resample(maps_O3XY, center_O3, end_E, middle_E2) for end_E in ends), strict=True
-        )
-        rise_E = (center_O3[ends[1], 2] - center_O3[ends[0], 2])[:, None, None]
-        undersides = (underside[0], underside[1] + coverage[1] * rise_E)
-        tops = (top[0], top[1] + coverage[1] * rise_E)
-        # Heights are multiplied by coverage, so each factor of a difference needs the other's.
-        gaps = [
-            undersides[0] * coverage[1] - tops[1] * coverage[0],
-            undersides[1] * coverage[0] - tops[0] * coverage[1],
-        ]
-        heights = (x / self.unit_m for x in (*undersides, *tops, *gaps))
-        return torch.stack([*coverage, *heights], 1)
+        resampled = [self._resample(maps_O3XY, center_O3, end_E, middle_E2) for end_E in ends]
+        # Axis 1: receiver, sender; flip(1) swaps them.
+        coverage, underside, top = torch.stack(resampled, 2).unbind(1)
+        rise_E2 = torch.stack([center_O3[end_E, 2] - center_O3[ends[0], 2] for end_E in ends], 1)
+        lift = coverage * rise_E2[..., None, None]
+        underside, top = underside + lift, top + lift
+        # Heights are multiplied by coverage, so each term of a difference needs the other's.
+        gap = underside * coverage.flip(1) - top.flip(1) * coverage
+        return torch.cat([coverage, *(x / self.unit_m for x in (underside, top, gap))], 1)
 
     def table_gaps(self, node_O4XY: Tensor) -> Tensor:
         """Smallest gap OC between underside and table, located from the object's centre."""
@@ -139,40 +131,37 @@ class HeightmapEncoder(nn.Module):
 
         Positions are relative to a point that lies an offset before the window's centre.
         """
-        gap, exists = gap_OXY.flatten(1), exists_OXY.flatten(1)
-        near = torch.where(exists, -gap * (self.unit_m / GAP_SOFTNESS_M), -torch.inf)
-        weight = near.softmax(-1).nan_to_num()  # NaN where nothing exists: -inf everywhere
-        exists_O1 = exists.any(-1, keepdim=True).float()
-        size_O1, position_O2 = (weight * gap).sum(-1, keepdim=True), weight @ self.window_Q2
-        scalars = []
+        weight = self._soft_argmin(gap_OXY, exists_OXY, GAP_SOFTNESS_M)
+        exists_O1 = exists_OXY.flatten(1).any(-1, keepdim=True).float()
+        size_O1 = (weight * gap_OXY.flatten(1)).sum(-1, keepdim=True)
+        position_O2, found = weight @ self.window_Q2, []
         for offset_O2 in offsets_O2:
-            scalars += [exists_O1, size_O1, (position_O2 + offset_O2) / self.unit_m * exists_O1]
-        return torch.cat(scalars, -1)
+            found += [exists_O1, size_O1, (position_O2 + offset_O2) / self.unit_m * exists_O1]
+        return torch.cat(found, -1)
 
-    def _slope(
-        self, surface_OXY: Tensor, coverage_OXY: Tensor, gap_OXY: Tensor, exists_OXY: Tensor
-    ) -> Tensor:
-        """Slopes O2 (rise over run along x and y) of a surface near the smallest gap, else 0."""
-        height = surface_OXY / coverage_OXY.clamp(min=MIN_COVERAGE) * self.unit_m
-        is_covered = coverage_OXY > MIN_COVERAGE
+    def _slope(self, surface: Tensor, coverage: Tensor, gap: Tensor, exists: Tensor) -> Tensor:
+        """Slopes O2 (rise over run along x and y) of a surface OXY at the smallest gap, else 0."""
+        height = surface / coverage.clamp(min=MIN_COVERAGE) * self.unit_m
+        is_covered = coverage > MIN_COVERAGE
         slopes = []
         for axis in (1, 2):
             rise = (height.roll(-1, axis) - height.roll(1, axis)) / (2 * self.cell_m)
             # Central differences need both neighbours on the surface.
-            is_inside = exists_OXY & is_covered.roll(-1, axis) & is_covered.roll(1, axis)
-            near = torch.where(is_inside, -gap_OXY * (self.unit_m / SLOPE_SOFTNESS_M), -torch.inf)
-            weight = near.flatten(1).softmax(-1).nan_to_num()
+            is_inside = exists & is_covered.roll(-1, axis) & is_covered.roll(1, axis)
+            weight = self._soft_argmin(gap, is_inside, SLOPE_SOFTNESS_M)
             slopes.append((weight * rise.clamp(-MAX_SLOPE, MAX_SLOPE).flatten(1)).sum(-1))
         return torch.stack(slopes, -1)
 
-    def _resample(
-        self, maps_O3XY: Tensor, center_O3: Tensor, end_E: Tensor, middle_E2: Tensor
-    ) -> HeightMaps:
-        """Maps of objects ``end_E`` in windows around ``middle_E2``."""
-        offset_EQ2 = middle_E2[:, None] + self.window_Q2 - center_O3[end_E, None, :2]
+    def _soft_argmin(self, gap_OXY: Tensor, exists_OXY: Tensor, softness_m: float) -> Tensor:
+        """Weights OQ of the cells, high where the gap is small; 0 where nothing exists."""
+        near = torch.where(exists_OXY, -gap_OXY * (self.unit_m / softness_m), -torch.inf)
+        return near.flatten(1).softmax(-1).nan_to_num()  # NaN: -inf everywhere
+
+    def _resample(self, maps: Tensor, center_O3: Tensor, i_E: Tensor, middle_E2: Tensor) -> Tensor:
+        """Maps E3XY of objects ``i_E`` in windows around ``middle_E2``."""
+        offset_EQ2 = middle_E2[:, None] + self.window_Q2 - center_O3[i_E, None, :2]
         grid = (offset_EQ2 * (2 / self.crop_m)).flip(-1).reshape(-1, self.side, self.side, 2)
-        sampled = F.grid_sample(maps_O3XY[end_E], grid, align_corners=False)
-        return cast(HeightMaps, sampled.unbind(1))
+        return F.grid_sample(maps[i_E], grid, align_corners=False)
 
 
 def _first_hit(occupancy_OXYZ: Tensor) -> Tensor:
