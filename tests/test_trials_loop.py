@@ -20,9 +20,8 @@ from oes.sim.pushing import PushWorld
 from oes.sim.scene import ScatterConfig, SceneRejected
 from oes.sim.world import SimConfig
 from oes.trials.loop import COLLIDED, TrialResult, run_trial
-from oes.trials.obstacles import ObstaclesConfig
 from oes.trials.planner import CameraObservation, Planner, PlanningConfig, TrackConfig
-from oes.trials.task import Task, TrialScenario, draw_task, generator
+from oes.trials.task import ObstaclesConfig, Task, TrialScenario, draw_task, generator
 from oes.trials.world_models import GraphWorldModel, StateEstimate
 from tests.blocks import make_catalogue, read_sim
 

@@ -5,7 +5,7 @@ Tasks, cameras and plan samples are seeded by the trial, so they are the same fo
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 import joblib
@@ -37,6 +37,10 @@ from oes.trials.trial_video import VideoConfig
 from oes.trials.world_models import WorldModel, load_world_model
 
 TASK_STREAM, CAMERA_STREAM, PLAN_STREAM = range(3)  # of random numbers
+
+# Worker processes keep the catalogue and the network from trial to trial.
+_catalogue = lru_cache(maxsize=1)(load_catalogue)
+_perceiver = lru_cache(maxsize=1)(Perceiver.load)
 
 
 class ScenarioError(ValueError):
@@ -84,16 +88,13 @@ def run_trials(
         for planner in cfg.scenarios[scenario].planners
         for trial_i in range(cfg.num_trials)
     }
-    run = partial(_run_and_save, cfg, scenario, inputs)
+
+    def make(trial: tuple[str, int], path: Path) -> None:
+        joblib.dump(run_one(cfg, scenario, inputs, *trial), path)
+
     desc = f"trials {scenario}"
-    resumable_map(run, paths, num_workers=cfg.num_workers, desc=desc, unit="trial")
+    resumable_map(make, paths, num_workers=cfg.num_workers, desc=desc, unit="trial")
     return [joblib.load(path) for path in paths]
-
-
-def _run_and_save(
-    cfg: TrialsConfig, scenario: str, inputs: TrialInputs, which: tuple[str, int], path: Path
-) -> None:
-    joblib.dump(run_one(cfg, scenario, inputs, *which), path)
 
 
 def run_one(cfg: TrialsConfig, name: str, inputs: TrialInputs, planner: str, trial_i: int) -> Trial:
@@ -150,14 +151,3 @@ class CameraSensor:
     def __call__(self, state: Step, camera: Camera) -> CameraObservation:
         frames = self._renderer.render(mesh_poses(state), [camera])
         return CameraObservation(frames, camera, self._overhead(state) if self._overhead else None)
-
-
-# Worker processes keep the catalogue and the network from trial to trial.
-@lru_cache(maxsize=1)
-def _catalogue(folder: Path) -> Catalogue:
-    return load_catalogue(folder)
-
-
-@lru_cache(maxsize=1)
-def _perceiver(path: Path) -> Perceiver:
-    return Perceiver.load(path)

@@ -32,9 +32,7 @@ from oes.objects import Objects, map_tensors
 
 @dataclass(frozen=True)
 class StateEstimate:
-    """Perceived objects of the task, their boxes as arrays, whether each was detected in the last
-    observation, and the overhead image for models that use one.
-    """
+    """Perceived objects, their boxes, which were detected last, and the overhead image if any."""
 
     objects: Objects
     center_N3: Floats
@@ -115,24 +113,21 @@ class ForesightWorldModel:
         self, estimate: StateEstimate, goal_G3: Floats, candidates: Candidates, num_samples: int = 1
     ) -> Rollouts:
         """Objects keep their height and orientation."""
-        camera = OverheadCamera(self.view)
+        camera, image, pushes = _image_inputs(self.view, estimate, candidates)
         start_N2 = torch.from_numpy(camera.project(estimate.center_N3)).float()
-        tip_S2, actions_ST2 = _projected(camera, candidates)
-        image = _overhead_image(estimate)
-        _, maps_STNHW = unroll_pixels(self.net, image, start_N2, tip_S2, actions_ST2)
-        num_plans, horizon, count, height, width = maps_STNHW.shape
+        _, maps_STNHW = unroll_pixels(self.net, image, start_N2, *pushes)
         pixels = [expected_pixel(maps_SNHW) for maps_SNHW in maps_STNHW.unbind(1)]
         pixel_STN2 = torch.stack(pixels, 1).double().numpy()
-        height_STN = np.broadcast_to(estimate.center_N3[:, 2], pixel_STN2.shape[:-1])
-        xy_STN2 = camera.unproject(pixel_STN2, height_STN)
-        position = torch.from_numpy(np.concatenate([xy_STN2, height_STN[..., None]], -1)).float()
+        z_STN = np.broadcast_to(estimate.center_N3[:, 2], pixel_STN2.shape[:-1])
+        xy_STN2 = camera.unproject(pixel_STN2, z_STN)
+        position = torch.from_numpy(np.concatenate([xy_STN2, z_STN[..., None]], -1)).float()
         goal_G2 = torch.from_numpy(camera.project(goal_G3)).float()
-        grid = pixel_grid(height, width, maps_STNHW)
-        distance_GHW = (grid - goal_G2[:, None, None]).norm(dim=-1)
-        expected_STG = (maps_STNHW[:, :, : len(goal_G3)] * distance_GHW).sum((-2, -1))
-        cost_ST = expected_STG.mean(-1) * self.view.half_m
-        rotation = torch.eye(3).expand(num_plans, horizon, count, 3, 3)
-        return Rollouts(_tip_path(candidates), position, rotation, cost_ST)
+        height, width = maps_STNHW.shape[-2:]
+        offset_GHW2 = pixel_grid(height, width, maps_STNHW) - goal_G2[:, None, None]
+        moved_STGHW = maps_STNHW[:, :, : len(goal_G3)]
+        distance_STG = (moved_STGHW * offset_GHW2.norm(dim=-1)).sum((-2, -1))
+        cost_ST = distance_STG.mean(-1) * self.view.half_m
+        return Rollouts(_tip_path(candidates), position, _no_rotation(position), cost_ST)
 
 
 @dataclass(frozen=True)
@@ -148,18 +143,17 @@ class PlanetWorldModel:
         self, estimate: StateEstimate, goal_G3: Floats, candidates: Candidates, num_samples: int = 1
     ) -> Rollouts:
         """Goals are ordered as in training: by the image x of their objects."""
-        camera, max_goals = OverheadCamera(self.view), self.net.cfg.max_goals
+        camera, image, pushes = _image_inputs(self.view, estimate, candidates)
+        max_goals = self.net.cfg.max_goals
         start_G2 = camera.project(estimate.center_N3[: len(goal_G3)])
         order = np.argsort(start_G2[:, 0])[:max_goals]
         goals = torch.zeros(max_goals, 3)
-        goal_G3 = np.column_stack([camera.project(goal_G3[order]), np.ones(len(order))])
-        goals[: len(order)] = torch.from_numpy(goal_G3)
-        tip_S2, actions_ST2 = _projected(camera, candidates)
-        image = _overhead_image(estimate)
-        _, rewards_ST = unroll_latent(self.net, image, goals, tip_S2, actions_ST2)
+        pixel_G2 = camera.project(goal_G3[order])
+        goals[: len(order)] = torch.from_numpy(np.column_stack([pixel_G2, np.ones(len(order))]))
+        _, rewards_ST = unroll_latent(self.net, image, goals, *pushes)
         position = estimate.objects.center_N3.expand(*rewards_ST.shape, -1, -1)
-        rotation = torch.eye(3).expand(*position.shape, 3)
-        return Rollouts(_tip_path(candidates), position, rotation, -rewards_ST * self.view.half_m)
+        cost_ST = -rewards_ST * self.view.half_m
+        return Rollouts(_tip_path(candidates), position, _no_rotation(position), cost_ST)
 
 
 def _tip_path(candidates: Candidates) -> Tensor:
@@ -168,16 +162,21 @@ def _tip_path(candidates: Candidates) -> Tensor:
     return torch.cat([tip_S13, tip_S13 + candidates.actions_ST3.cumsum(1)], 1)
 
 
-def _projected(camera: OverheadCamera, candidates: Candidates) -> tuple[Tensor, Tensor]:
-    """Starts S2 and displacements ST2 of the rod in normalised image coordinates."""
-    tip_SI2 = torch.from_numpy(camera.project(_tip_path(candidates).double().numpy())).float()
-    return tip_SI2[:, 0], tip_SI2.diff(dim=1)
+def _no_rotation(position_STN3: Tensor) -> Tensor:
+    return torch.eye(3).expand(*position_STN3.shape, 3)
 
 
-def _overhead_image(estimate: StateEstimate) -> Tensor:
-    """3HW, 0 to 1."""
+def _image_inputs(
+    view: OverheadView, estimate: StateEstimate, candidates: Candidates
+) -> tuple[OverheadCamera, Tensor, tuple[Tensor, Tensor]]:
+    """The camera, its image 3HW (0 to 1), and in its coordinates the rod's start S2 and actions
+    ST2.
+    """
     assert estimate.overhead_HW3 is not None, "the observation has no overhead image"
-    return torch.from_numpy(estimate.overhead_HW3).permute(2, 0, 1).float() / 255
+    camera = OverheadCamera(view)
+    tip_SI2 = torch.from_numpy(camera.project(_tip_path(candidates).double().numpy())).float()
+    image_3HW = torch.from_numpy(estimate.overhead_HW3).permute(2, 0, 1).float() / 255
+    return camera, image_3HW, (tip_SI2[:, 0], tip_SI2.diff(dim=1))
 
 
 def load_world_model(folder: Path) -> WorldModel:
