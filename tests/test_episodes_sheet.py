@@ -24,9 +24,8 @@ from oes.episodes.sheet import (
     main,
     mosaic,
     seg_image,
-    write_sheet,
 )
-from oes.record import EpisodeError, list_episodes, read_episode, write_episode
+from oes.record import EpisodeError, read_episode, write_episode
 from oes.record.dataset import read_states
 from tests.factories import make_episode, make_frames
 
@@ -204,13 +203,17 @@ def test_index_depends_on_the_episodes_alone(tmp_path: Path) -> None:
     assert (one.parent / sheet).read_bytes() == (other.parent / sheet).read_bytes()
 
 
-def test_sheet_of_an_episode_without_objects(tmp_path: Path) -> None:
+def test_pages_of_an_episode_without_objects_or_robot(tmp_path: Path) -> None:
     episode = make_episode(num_objects=0, num_steps=2)
-    write_episode(episode, make_frames(episode), tmp_path / "traj_000000")
-    write_sheet(tmp_path / "traj_000000", tmp_path / "sheet.html")
-    page = Page(tmp_path / "sheet.html")
+    steps = [replace(step, joints_rad_J=np.zeros(0)) for step in episode.steps]
+    folder = tmp_path / "traj_000000"
+    write_episode(replace(episode, steps=tuple(steps)), make_frames(episode), folder)
+    write_index(tmp_path, read_states(tmp_path), camera_i=0, num_sheets=1)
+    page = Page(tmp_path / "sheets/traj_000000.html")
     assert len(page.images) == 1 + 2 * 3
-    assert list_episodes(tmp_path) and "0 objects, 2 states" in page.html
+    assert page.texts["h2"] == ["Objects"]
+    assert "0 objects, 2 states" in page.html and "no robot" in page.html
+    assert Page(tmp_path / "index.html").texts["td"] == ["0", "0", "0"]
 
 
 def test_an_expected_error_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from io import BytesIO
 from itertools import combinations, product
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import matplotlib as mpl
@@ -40,14 +39,6 @@ CORNERS_83 = np.array(list(product((-0.5, 0.5), repeat=3)))
 EDGES = [(a, b) for a, b in combinations(range(8), 2) if a ^ b in (1, 2, 4)]
 
 
-class Table(NamedTuple):
-    """A table of a page. A cell is text, the data URI of an image, or the path of another page."""
-
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-
-
 def write_sheet(folder: Path, out: Path) -> None:
     """Write the contact sheet of an episode (1 to 3 MB). Raises EpisodeError."""
     episode = read_episode(folder)
@@ -66,24 +57,24 @@ def write_sheet(folder: Path, out: Path) -> None:
             (f"State {step_i}: {limits}", data_uri(mosaic(depth), "jpeg")),
             (f"State {step_i}: segmentation", data_uri(mosaic(seg_image(views.seg_VHW)), "png")),
         ]
-    rod = f"rod {episode.rod_rms_m * 1000:.1f} mm RMS from its commanded path"
-    summary = (
-        f"{len(episode.bodies)} objects, {len(episode.steps)} states over "
-        f"{episode.steps[-1].t_ns / 1e9:g} s, {len(episode.steps[0].cameras)} cameras, "
-        f"seed {episode.seed}, {rod if episode.has_robot else 'no robot'}"
+    x_mm_T, y_mm_T = episode.actions_T3[:, :2].T * 1000
+    yaw_deg_T = np.degrees(np.arctan2(y_mm_T, x_mm_T))
+    html = render_html(
+        "sheet.html.jinja",
+        title=f"{episode.task} {episode.split}, episode {episode.index}",
+        episode=episode,
+        moved_mm_N=displacement_mm(episode, len(episode.steps) - 1),
+        actions=np.stack([x_mm_T, y_mm_T, np.hypot(x_mm_T, y_mm_T), yaw_deg_T], axis=1),
+        images=images,
     )
-    title = f"{episode.task} {episode.split}, episode {episode.index}"
-    out.write_text(html_page(title, summary, _tables(episode), images), encoding="utf-8")
+    out.write_text(html, encoding="utf-8")
 
 
-def html_page(
-    title: str, summary: str, tables: Sequence[Table], images: Sequence[tuple[str, str]]
-) -> str:
-    """A page of tables and of images (caption, data URI). Every text is escaped by Jinja."""
+def render_html(template: str, **values: object) -> str:
+    """A page from a template of this folder; Jinja escapes every value."""
     loader = FileSystemLoader(Path(__file__).parent)
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-    template = environment.get_template("sheet.html.jinja")
-    return template.render(title=title, summary=summary, tables=tables, images=images)
+    return environment.get_template(template).render(values)
 
 
 def data_uri(image_HW3: Pixels, kind: str, quality: int = 80) -> str:
@@ -170,23 +161,6 @@ def charts(episode: Episode) -> Pixels:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
-
-
-def _tables(episode: Episode) -> list[Table]:
-    moved_mm = displacement_mm(episode, len(episode.steps) - 1)
-    bodies = [
-        (f"{i + 1} {body.mesh}", body.category, " ".join(f"{each:.2f}" for each in body.scale_3),
-         f"{body.mass_kg:.3f}", f"{body.friction:.2f}", f"{moved_mm[i]:.0f}")
-        for i, body in enumerate(episode.bodies)
-    ]  # fmt: skip
-    header = ("object", "category", "scale x y z", "mass kg", "friction", "displacement mm")
-    actions = [
-        (f"{i} to {i + 1}", *(f"{each * 1000:.1f}" for each in (x, y, np.hypot(x, y))),
-         f"{np.degrees(np.arctan2(y, x)):.0f}")
-        for i, (x, y, _) in enumerate(episode.actions_T3)
-    ]  # fmt: skip
-    push = Table("Actions", ("states", "x mm", "y mm", "length mm", "yaw deg"), actions)
-    return [Table("Objects", header, bodies), *([push] if episode.has_robot else [])]
 
 
 def _colour(object_i: int) -> str:
