@@ -11,7 +11,7 @@ import torch
 import trimesh
 
 from oes.config import load
-from oes.dynamics.rigid_body.bodies import ContactPhysics, PlanarState, RigidBodies
+from oes.dynamics.rigid_body.bodies import ContactPhysics, PlanarState, RigidBodies, State
 from oes.dynamics.rigid_body.contact_detection import detect_pairs, detect_rod
 from oes.dynamics.rigid_body.push import compile_bodies, simulate_push
 from oes.dynamics.rigid_body.substeps import GRAVITY
@@ -188,9 +188,9 @@ def test_detected_contacts_have_point_normal_and_gap() -> None:
     compiled, rod_m, tip_m = compile_bodies(bodies, physics()), 0.01, 0.018
     com_BN3 = torch.cat([state.com_BN2, bodies.com_height_BN[..., None]], -1).double().numpy()
     rotation_BN33 = np.broadcast_to(np.eye(3), (1, 3, 3, 3)).copy()
+    upright = State(com_BN3, rotation_BN33, np.zeros((1, 3, 6)), np.ones((1, 3), bool))
     beside, inside = (
-        detect_rod(compiled, com_BN3, rotation_BN33, np.array([[x, 0.0]]), rod_m, tip_m)[0]
-        for x in (0.055, 0.08)
+        detect_rod(compiled, upright, np.array([[x, 0.0]]), rod_m, tip_m)[0] for x in (0.055, 0.08)
     )
     assert beside[0] == pytest.approx(
         [-0.03, 0, tip_m - 0.02, 1, 0, 0, 0.045 - 0.03 - rod_m], abs=1e-5

@@ -40,21 +40,11 @@ class ContactRows(NamedTuple):
     spin_P4: Floats
 
 
-@jit
-def allocate_rows(num: int) -> ContactRows:
-    """Rows for the most contacts that ``num`` bodies can have."""
+def empty_rows(num: int) -> ContactRows:
+    """Rows for the most contacts that ``num`` bodies can have, with garbage in them."""
     most = num * (2 * MAX_POINTS + num)
-    return ContactRows(
-        np.empty((most, 2), np.int64),
-        np.empty((most, 4)),
-        np.empty((most, 3, 3)),
-        np.zeros((most, 2, 3)),
-        np.zeros((most, 2, 3, 3)),
-        np.zeros((most, 2, 3, 3)),
-        np.empty((most, 3)),
-        np.empty((most, 2)),
-        np.empty((most, 4)),
-    )
+    shapes = (4,), (3, 3), (2, 3), (2, 3, 3), (2, 3, 3), (3,), (2,), (4,)
+    return ContactRows(np.empty((most, 2), np.int64), *(np.empty((most, *x)) for x in shapes))
 
 
 @jit
@@ -73,14 +63,7 @@ def world_inverse_inertia(
 
 @jit
 def add_static_contacts(
-    rows: ContactRows,
-    count: int,
-    manifold: Manifold,
-    b: int,
-    n: int,
-    rotation_33: Floats,
-    friction: float,
-    velocity_2: Floats,
+    rows: ContactRows, count: int, manifold: Manifold, b: int, n: int, rotation_33: Floats
 ) -> int:
     """Append a body's contacts with table or rod; the new number of contacts."""
     for c in range(manifold.count_BN[b, n]):
@@ -88,11 +71,9 @@ def add_static_contacts(
         for k in range(3):
             rows.axis_P33[count, 0, k] = manifold.normal_BN43[b, n, c, k]
             rows.arm_P23[count, 0, k] = dot(rotation_33[k], point_3)
-        rows.scalar_P4[count, GAP], rows.scalar_P4[count, FRICTION] = (
-            manifold.gap_BN4[b, n, c],
-            friction,
-        )
-        rows.velocity_P2[count] = velocity_2
+        rows.scalar_P4[count, GAP] = manifold.gap_BN4[b, n, c]
+        rows.scalar_P4[count, FRICTION] = manifold.friction_BN[b, n]
+        rows.velocity_P2[count] = manifold.velocity_B2[b]
         rows.body_P2[count, 0], rows.body_P2[count, 1] = n, STATIC
         count += 1
     return count

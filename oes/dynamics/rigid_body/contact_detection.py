@@ -8,10 +8,10 @@ the second's (3), and the gap.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
+from oes.dynamics.rigid_body.bodies import Bodies, State
 from oes.dynamics.rigid_body.linalg import dot
 from oes.episode import Bools, Floats
 from oes.jit import jit
@@ -22,47 +22,18 @@ TIE_SLOPE = 1e-5  # tilt that breaks ties between equally low support points
 MIN_COSINE = 0.1  # between a profile's normal and its radius
 
 
-class Bodies(NamedTuple):
-    """Constants of N bodies of B scenes for the compiled kernels; see ``RigidBodies``.
-
-    Vertices, supports and heights are relative to the centre of mass. radius_BN bounds both
-    profiles; normal_BND2 are outward unit normals of profile_BND; friction_BN3 are coefficients
-    against table, rod and other bodies; has_rod_BN is False where the rod can touch nothing.
-    """
-
-    rod_profile_BND: Floats
-    rod_vertex_BND2: Floats
-    rod_min_z_BND: Floats
-    rod_max_z_BND: Floats
-    profile_BND: Floats
-    vertex_BND2: Floats
-    normal_BND2: Floats
-    com_offset_BN2: Floats
-    com_height_BN: Floats
-    radius_BN: Floats
-    height_BN: Floats
-    support_BNP3: Floats
-    inverse_inertia_BN33: Floats
-    mass_BN: Floats
-    friction_BN3: Floats
-    is_valid_BN: Bools
-    has_rod_BN: Bools
-
-
 @jit
-def detect_table(
-    bodies: Bodies, com_BN3: Floats, rotation_BN33: Floats, side_B2: Floats, is_active_BN: Bools
-) -> Floats:
+def detect_table(bodies: Bodies, state: State, side_B2: Floats, is_active_BN: Bools) -> Floats:
     """Lowest support point of every active body as contacts BN7 with the table.
 
     Among equally low points the one farthest along ``side_B2`` wins.
     """
-    contact_BN7 = np.zeros((*com_BN3.shape[:2], 7))
-    for b, n in np.ndindex(com_BN3.shape[:2]):
+    contact_BN7 = np.zeros((*state.com_BN3.shape[:2], 7))
+    for b, n in np.ndindex(is_active_BN.shape):
         if not (is_active_BN[b, n] and bodies.is_valid_BN[b, n]):
             contact_BN7[b, n, 6] = np.inf
             continue
-        lowest, rotation_33 = np.inf, rotation_BN33[b, n]
+        lowest, rotation_33, com_z = np.inf, state.rotation_BN33[b, n], state.com_BN3[b, n, 2]
         # An upright body has all supports at one height: a tiny fictitious tilt makes the choice
         # deterministic instead of one of rounding errors.
         tilt_x, tilt_y = TIE_SLOPE * side_B2[b, 0], TIE_SLOPE * side_B2[b, 1]
@@ -73,29 +44,25 @@ def detect_table(
             tilted -= tilt_3[2] * support_3[2]
             if tilted < lowest:
                 lowest = tilted
-                contact_BN7[b, n, :3], contact_BN7[b, n, 6] = support_3, com_BN3[b, n, 2] + z
+                contact_BN7[b, n, :3], contact_BN7[b, n, 6] = support_3, com_z + z
         contact_BN7[b, n, 5] = 1.0
     return contact_BN7
 
 
 @jit
 def detect_rod(
-    bodies: Bodies,
-    com_BN3: Floats,
-    rotation_BN33: Floats,
-    rod_B3: Floats,
-    radius_m: float,
-    tip_height_m: float,
+    bodies: Bodies, state: State, rod_B3: Floats, radius_m: float, tip_height_m: float
 ) -> Floats:
     """Contacts BN7 of every body with a vertical rod whose axis stands at ``rod_B3`` (x, y)."""
-    contact_BN7 = np.zeros((*com_BN3.shape[:2], 7))
-    for b, n in np.ndindex(com_BN3.shape[:2]):
+    contact_BN7 = np.zeros((*state.com_BN3.shape[:2], 7))
+    for b, n in np.ndindex(state.com_BN3.shape[:2]):
         contact_BN7[b, n, 6] = np.inf
-        dx, dy = rod_B3[b, 0] - com_BN3[b, n, 0], rod_B3[b, 1] - com_BN3[b, n, 1]
+        com_3 = state.com_BN3[b, n]
+        dx, dy = rod_B3[b, 0] - com_3[0], rod_B3[b, 1] - com_3[1]
         limit = bodies.radius_BN[b, n] + radius_m + MAX_APPROACH_M
         if bodies.has_rod_BN[b, n] and math.hypot(dx, dy) < limit:
-            tip = dx, dy, tip_height_m - com_BN3[b, n, 2]
-            _rod_contact(bodies, b, n, rotation_BN33[b, n], tip, radius_m, contact_BN7[b, n])
+            tip, R_33 = (dx, dy, tip_height_m - com_3[2]), state.rotation_BN33[b, n]
+            _rod_contact(bodies, b, n, R_33, tip, radius_m, contact_BN7[b, n])
     return contact_BN7
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from oes.dynamics.rigid_body.bodies import State
 from oes.dynamics.rigid_body.linalg import cross, dot
 from oes.episode import Floats, Ints
 from oes.jit import jit
@@ -18,13 +19,15 @@ MAX_POINTS = 4
 
 
 class Manifold(NamedTuple):
-    """Contact points of N bodies of B scenes (metres).
+    """Contact points of N bodies of B scenes with one other thing (metres).
 
     point_BN43   on the body, body axes, from its centre of mass
     anchor_BN43  on the other thing, world axes, from its origin
     normal_BN43  unit normal towards the body, world axes
     gap_BN4      signed distance along the normal
     count_BN     number of points in use
+    origin_B3, velocity_B2   position and velocity of the other thing
+    friction_BN, breaking_BN   friction coefficient and breaking distance
     """
 
     point_BN43: Floats
@@ -32,51 +35,47 @@ class Manifold(NamedTuple):
     normal_BN43: Floats
     gap_BN4: Floats
     count_BN: Ints
+    origin_B3: Floats
+    velocity_B2: Floats
+    friction_BN: Floats
+    breaking_BN: Floats
 
 
-def empty_manifold(batch: int, num: int) -> Manifold:
+def empty_manifold(
+    origin_B3: Floats, velocity_B2: Floats, friction_BN: Floats, breaking_BN: Floats
+) -> Manifold:
     """Manifolds without points."""
-    point, anchor, normal = (np.zeros((batch, num, MAX_POINTS, 3)) for _ in range(3))
-    gap, count = np.zeros((batch, num, MAX_POINTS)), np.zeros((batch, num), np.int64)
-    return Manifold(point, anchor, normal, gap, count)
+    shape = (*friction_BN.shape, MAX_POINTS)
+    point, anchor, normal = (np.zeros((*shape, 3)) for _ in range(3))
+    points = point, anchor, normal, np.zeros(shape), np.zeros(friction_BN.shape, np.int64)
+    return Manifold(*points, origin_B3, velocity_B2, friction_BN, breaking_BN)
 
 
 @jit
-def update_manifold(
-    manifold: Manifold,
-    contact_BN7: Floats,
-    com_BN3: Floats,
-    rotation_BN33: Floats,
-    origin_B3: Floats,
-    breaking_BN: Floats,
-) -> None:
-    """Add the detected contacts (see ``contact_detection``), then drop broken points.
-
-    ``origin_B3``: position of the other thing; ``breaking_BN``: breaking distance.
-    """
+def update_manifold(manifold: Manifold, contact_BN7: Floats, state: State) -> None:
+    """Add the detected contacts (see ``contact_detection``), then drop broken points."""
     for b, n in np.ndindex(contact_BN7.shape[:2]):
-        com_3, rotation_33 = com_BN3[b, n], rotation_BN33[b, n]
-        breaking = float(breaking_BN[b, n])
-        if contact_BN7[b, n, 6] < breaking:
+        com_3, rotation_33 = state.com_BN3[b, n], state.rotation_BN33[b, n]
+        if contact_BN7[b, n, 6] < manifold.breaking_BN[b, n]:
             contact_7 = contact_BN7[b, n]
-            slot = _slot(manifold, b, n, contact_7[:3], breaking)
+            slot = _slot(manifold, b, n, contact_7[:3])
             manifold.gap_BN4[b, n, slot] = contact_7[6]
             for k in range(3):
                 point = com_3[k] + dot(rotation_33[k], contact_7[:3])
-                anchor = point - contact_7[6] * contact_7[3 + k] - origin_B3[b, k]
+                anchor = point - contact_7[6] * contact_7[3 + k] - manifold.origin_B3[b, k]
                 manifold.point_BN43[b, n, slot, k] = contact_7[k]
                 manifold.normal_BN43[b, n, slot, k] = contact_7[3 + k]
                 manifold.anchor_BN43[b, n, slot, k] = anchor
-        _refresh(manifold, b, n, com_3, rotation_33, origin_B3[b], breaking)
+        _refresh(manifold, b, n, com_3, rotation_33)
 
 
 @jit
-def _slot(manifold: Manifold, b: int, n: int, point_3: Floats, breaking: float) -> int:
+def _slot(manifold: Manifold, b: int, n: int, point_3: Floats) -> int:
     """Where a new point goes: over one within the breaking distance, a free slot, or over the one
     whose loss keeps the manifold largest.
     """
     point_43, count = manifold.point_BN43[b, n], manifold.count_BN[b, n]
-    slot, least = -1, breaking * breaking
+    slot, least = -1, manifold.breaking_BN[b, n] * manifold.breaking_BN[b, n]
     for c in range(count):
         x, y, z = (
             point_43[c, 0] - point_3[0],
@@ -122,24 +121,16 @@ def _area(point_43: Floats, replaced: int, point_3: Floats) -> float:
 
 
 @jit
-def _refresh(
-    manifold: Manifold,
-    b: int,
-    n: int,
-    com_3: Floats,
-    rotation_33: Floats,
-    origin_3: Floats,
-    breaking: float,
-) -> None:
+def _refresh(manifold: Manifold, b: int, n: int, com_3: Floats, rotation_33: Floats) -> None:
     """Recompute gaps from the current poses and drop points beyond the breaking distance."""
     point_43, anchor_43 = manifold.point_BN43[b, n], manifold.anchor_BN43[b, n]
     normal_43, gap_4 = manifold.normal_BN43[b, n], manifold.gap_BN4[b, n]
-    count = manifold.count_BN[b, n]
+    count, breaking = manifold.count_BN[b, n], manifold.breaking_BN[b, n]
     # Backwards, as a dropped point is overwritten by the last one.
     for c in range(count - 1, -1, -1):
         gap, square = 0.0, 0.0
         for k in range(3):
-            x = com_3[k] - origin_3[k] - anchor_43[c, k]
+            x = com_3[k] - manifold.origin_B3[b, k] - anchor_43[c, k]
             x += dot(rotation_33[k], point_43[c])
             gap += x * normal_43[c, k]
             square += x * x

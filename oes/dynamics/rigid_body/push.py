@@ -7,12 +7,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from oes.dynamics.rigid_body.bodies import ContactPhysics, PlanarState, RigidBodies
-from oes.dynamics.rigid_body.contact_detection import Bodies, detect_table
+from oes.dynamics.rigid_body.bodies import Bodies, ContactPhysics, PlanarState, RigidBodies, State
+from oes.dynamics.rigid_body.constraints import empty_rows
+from oes.dynamics.rigid_body.contact_detection import detect_table
 from oes.dynamics.rigid_body.contact_manifold import empty_manifold, update_manifold
-from oes.dynamics.rigid_body.substeps import State, StepSettings, advance_substeps
+from oes.dynamics.rigid_body.substeps import StepSettings, advance_substeps
 from oes.episode import Floats
-from oes.geom.polar import profile_points, profile_normals
+from oes.geom.polar import profile_normals, profile_points
 from oes.objects import map_tensors
 
 BREAKING = 0.02  # breaking distance of a contact over the bounding radius, as in Bullet
@@ -56,8 +57,8 @@ def _simulate(
     bodies: RigidBodies, start: PlanarState, tip_B2: Tensor, action_B2: Tensor, cfg: ContactPhysics
 ) -> PlanarState:
     """As ``simulate_push``, in one thread."""
-    compiled, state = compile_bodies(bodies, cfg), _upright_state(bodies, start, tip_B2)
-    planar_BN3 = _advance(compiled, state, _array(action_B2) / cfg.step_s, cfg)
+    state = _upright_state(bodies, start)
+    planar_BN3 = _advance(bodies, state, _array(tip_B2), _array(action_B2) / cfg.step_s, cfg)
     com_BN2, yaw_BN, twist_BN3 = (
         torch.from_numpy(x).to(start.com_BN2)
         for x in (planar_BN3[..., :2], planar_BN3[..., 2], state.twist_BN6[..., PLANAR])
@@ -72,20 +73,37 @@ def _simulate(
     )
 
 
-def _advance(bodies: Bodies, state: State, rod_velocity_B2: Floats, cfg: ContactPhysics) -> Floats:
+def _upright_state(bodies: RigidBodies, start: PlanarState) -> State:
+    """Bodies upright on the table; those without velocity are asleep."""
+    com_BN3 = _array(torch.cat([start.com_BN2, bodies.com_height_BN[..., None]], -1))
+    yaw_BN = _array(start.yaw_BN)
+    rotation_BN33, twist_BN6 = np.zeros((*yaw_BN.shape, 3, 3)), np.zeros((*yaw_BN.shape, 6))
+    rotation_BN33[..., 0, 0] = rotation_BN33[..., 1, 1] = np.cos(yaw_BN)
+    rotation_BN33[..., 1, 0], rotation_BN33[..., 0, 1] = np.sin(yaw_BN), -np.sin(yaw_BN)
+    rotation_BN33[..., 2, 2] = 1
+    twist_BN6[..., PLANAR] = _array(start.twist_BN3)
+    return State(com_BN3, rotation_BN33, twist_BN6, (twist_BN6 != 0).any(-1))
+
+
+def _advance(
+    rigid: RigidBodies, state: State, tip_B2: Floats, velocity_B2: Floats, cfg: ContactPhysics
+) -> Floats:
     """Advance ``state`` by one action; planar poses BN3 (x, y, yaw)."""
-    batch, num = bodies.is_valid_BN.shape
-    table, rod = empty_manifold(batch, num), empty_manifold(batch, num)
+    bodies, friction_BN = compile_bodies(rigid, cfg), _array(rigid.friction_factor_BN)
     breaking_BN = BREAKING * np.hypot(bodies.radius_BN, bodies.height_BN / 2)
     rod_breaking_BN = np.minimum(breaking_BN, BREAKING * ROD_RADIUS_M)
-    speed_B1 = np.hypot(rod_velocity_B2[:, :1], rod_velocity_B2[:, 1:])
-    forward_B2 = rod_velocity_B2 / np.maximum(speed_B1, MIN_SPEED_M_S)
+    zero_B1 = np.zeros((len(tip_B2), 1))
+    table = empty_manifold(
+        np.tile(zero_B1, 3), np.tile(zero_B1, 2), friction_BN * cfg.table_friction, breaking_BN
+    )
+    rod_B3 = np.concatenate([tip_B2, zero_B1], 1)
+    rod = empty_manifold(rod_B3, velocity_B2, friction_BN * cfg.rod_friction, rod_breaking_BN)
+    speed_B1 = np.hypot(velocity_B2[:, :1], velocity_B2[:, 1:])
+    forward_B2 = velocity_B2 / np.maximum(speed_B1, MIN_SPEED_M_S)
     left_B2 = np.stack([-forward_B2[:, 1], forward_B2[:, 0]], 1)
     # At rest a body stands on four support points; detection finds one per side.
-    pose, table_B3 = (state.com_BN3, state.rotation_BN33), np.zeros((batch, 3))
     for side_B2 in (forward_B2, -forward_B2, left_B2, -left_B2):
-        contact_BN7 = detect_table(bodies, *pose, side_B2, bodies.is_valid_BN)
-        update_manifold(table, contact_BN7, *pose, table_B3, breaking_BN)
+        update_manifold(table, detect_table(bodies, state, side_B2, bodies.is_valid_BN), state)
     settings = StepSettings(
         dt=cfg.step_s / cfg.substeps,
         substeps=cfg.substeps,
@@ -95,23 +113,8 @@ def _advance(bodies: Bodies, state: State, rod_velocity_B2: Floats, cfg: Contact
         tip_height_m=cfg.tip_height_m,
         margin_m=cfg.contact_margin_m,
     )
-    breaking = breaking_BN, rod_breaking_BN
-    return advance_substeps(
-        bodies, (table, rod), breaking, state, rod_velocity_B2, forward_B2, settings
-    )
-
-
-def _upright_state(bodies: RigidBodies, start: PlanarState, tip_B2: Tensor) -> State:
-    """Bodies upright on the table; those without velocity are asleep."""
-    com_BN3 = _array(torch.cat([start.com_BN2, bodies.com_height_BN[..., None]], -1))
-    yaw_BN = _array(start.yaw_BN)
-    rotation_BN33, twist_BN6 = np.zeros((*yaw_BN.shape, 3, 3)), np.zeros((*yaw_BN.shape, 6))
-    rotation_BN33[..., 0, 0] = rotation_BN33[..., 1, 1] = np.cos(yaw_BN)
-    rotation_BN33[..., 1, 0], rotation_BN33[..., 0, 1] = np.sin(yaw_BN), -np.sin(yaw_BN)
-    rotation_BN33[..., 2, 2] = 1
-    twist_BN6[..., PLANAR] = _array(start.twist_BN3)
-    rod_B3 = np.concatenate([_array(tip_B2), np.zeros((len(tip_B2), 1))], 1)
-    return State(com_BN3, rotation_BN33, twist_BN6, (twist_BN6 != 0).any(-1), rod_B3)
+    rows = empty_rows(friction_BN.shape[1])
+    return advance_substeps(bodies, state, (table, rod), rows, forward_B2, settings)
 
 
 def compile_bodies(bodies: RigidBodies, cfg: ContactPhysics) -> Bodies:
@@ -123,7 +126,6 @@ def compile_bodies(bodies: RigidBodies, cfg: ContactPhysics) -> Bodies:
     radius_BND = torch.maximum(rod_vertex_BND2.norm(dim=-1), vertex_BND2.norm(dim=-1))
     support_z_BN11 = -bodies.com_height_BN[..., None, None]
     support_z_BNP1 = support_z_BN11.expand(*bodies.support_BNP2.shape[:-1], 1)
-    friction_3 = np.array([cfg.table_friction, cfg.rod_friction, cfg.object_friction])
     has_rod_BN = bodies.valid_BN & (bodies.rod_profile_BND > 0).any(-1)
     return Bodies(
         rod_profile_BND=_array(bodies.rod_profile_BND),
@@ -140,7 +142,7 @@ def compile_bodies(bodies: RigidBodies, cfg: ContactPhysics) -> Bodies:
         support_BNP3=_array(torch.cat([bodies.support_BNP2, support_z_BNP1], -1)),
         inverse_inertia_BN33=_array(bodies.inverse_inertia_BN33),
         mass_BN=_array(bodies.mass_factor_BN),
-        friction_BN3=_array(bodies.friction_factor_BN)[..., None] * friction_3,
+        pair_friction_BN=_array(bodies.friction_factor_BN) * cfg.object_friction,
         is_valid_BN=bodies.valid_BN.cpu().numpy().copy(),
         has_rod_BN=has_rod_BN.cpu().numpy(),
     )

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from oes.dynamics.rigid_body.bodies import Bodies, State
 from oes.dynamics.rigid_body.constraints import (
     FRICTION,
     GAP,
@@ -12,11 +13,9 @@ from oes.dynamics.rigid_body.constraints import (
     ContactRows,
     add_pair_contacts,
     add_static_contacts,
-    allocate_rows,
     prepare_rows,
     world_inverse_inertia,
 )
-from oes.dynamics.rigid_body.contact_detection import Bodies
 from oes.dynamics.rigid_body.contact_manifold import Manifold
 from oes.episode import Bools, Floats
 from oes.jit import jit
@@ -27,37 +26,32 @@ ERP = 0.08  # share of a penetration corrected per substep (Baumgarte), PyBullet
 @jit
 def solve_contacts(
     bodies: Bodies,
+    state: State,
     manifolds: tuple[Manifold, Manifold],
     pair_BNN9: Floats,
-    rotation_BN33: Floats,
-    rod_velocity_B2: Floats,
-    settings: tuple[float, float, int],
     is_active_BN: Bools,
-    twist_BN6: Floats,
+    rows: ContactRows,
+    settings: tuple[float, float, int],
 ) -> None:
-    """Change ``twist_BN6`` (linear, angular) so that no contact of an active body closes further
-    than its gap within a substep, and sliding obeys the friction cone.
+    """Change the twists so that no contact of an active body closes further than its gap within a
+    substep, and sliding obeys the friction cone.
 
-    ``manifolds``: with table and rod; ``settings``: spinning friction (metres), the substep
-    (seconds) and the number of iterations.
+    ``manifolds``: with table and rod; ``rows``: work space; ``settings``: spinning friction
+    (metres), substep (seconds) and number of iterations.
     """
     (table, rod), (spinning_m, dt, iterations) = manifolds, settings
-    num = twist_BN6.shape[1]
-    rows = allocate_rows(num)
-    inverse_N33, zero_2 = np.empty((num, 3, 3)), np.zeros(2)
-    impulse_P4 = np.empty((len(rows.body_P2), 4))
-    for b in range(len(twist_BN6)):
-        count = 0
+    num = state.com_BN3.shape[1]
+    inverse_N33, impulse_P4 = np.empty((num, 3, 3)), np.empty((len(rows.body_P2), 4))
+    for b in range(len(state.com_BN3)):
+        count, twist_N6 = 0, state.twist_BN6[b]
         for n in range(num):
-            if not is_active_BN[b, n]:
-                continue
-            R_33, friction_3 = rotation_BN33[b, n], bodies.friction_BN3[b, n]
-            inverse_33, mass = bodies.inverse_inertia_BN33[b, n], bodies.mass_BN[b, n]
-            world_inverse_inertia(R_33, inverse_33, mass, inverse_N33[n])
-            count = add_static_contacts(rows, count, table, b, n, R_33, friction_3[0], zero_2)
-            velocity_2 = rod_velocity_B2[b]
-            count = add_static_contacts(rows, count, rod, b, n, R_33, friction_3[1], velocity_2)
-            count = add_pair_contacts(rows, count, n, pair_BNN9[b, n], friction_3[2])
+            if is_active_BN[b, n]:
+                R_33, mass = state.rotation_BN33[b, n], bodies.mass_BN[b, n]
+                world_inverse_inertia(R_33, bodies.inverse_inertia_BN33[b, n], mass, inverse_N33[n])
+                count = add_static_contacts(rows, count, table, b, n, R_33)
+                count = add_static_contacts(rows, count, rod, b, n, R_33)
+                friction = bodies.pair_friction_BN[b, n]
+                count = add_pair_contacts(rows, count, n, pair_BNN9[b, n], friction)
         for p in range(count):
             prepare_rows(rows, p, inverse_N33, bodies.mass_BN[b])
         # No warm starting: impulses accumulate from zero in every substep.
@@ -65,11 +59,11 @@ def solve_contacts(
         for _ in range(iterations):
             # All normals before all frictions, as friction is bounded by the normal impulses.
             for p in range(count):
-                _solve_normal(rows, p, dt, impulse_P4, twist_BN6[b])
+                _solve_normal(rows, p, dt, impulse_P4, twist_N6)
             for p in range(count):
-                _solve_friction(rows, p, impulse_P4, twist_BN6[b])
+                _solve_friction(rows, p, impulse_P4, twist_N6)
                 if rows.body_P2[p, 1] == STATIC:
-                    _solve_spinning(rows, p, spinning_m, impulse_P4, twist_BN6[b])
+                    _solve_spinning(rows, p, spinning_m, impulse_P4, twist_N6)
 
 
 @jit

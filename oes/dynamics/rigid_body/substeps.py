@@ -5,7 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oes.dynamics.rigid_body.contact_detection import Bodies, detect_pairs, detect_rod, detect_table
+from oes.dynamics.rigid_body.bodies import Bodies, State
+from oes.dynamics.rigid_body.constraints import ContactRows
+from oes.dynamics.rigid_body.contact_detection import detect_pairs, detect_rod, detect_table
 from oes.dynamics.rigid_body.contact_manifold import Manifold, update_manifold
 from oes.dynamics.rigid_body.linalg import dot
 from oes.dynamics.rigid_body.solver import solve_contacts
@@ -14,21 +16,6 @@ from oes.jit import jit
 
 GRAVITY = 9.81
 WAKE_M = 0.002  # a gap below this wakes a sleeping body
-
-
-class State(NamedTuple):
-    """State of B scenes, changed in place by the kernels (world, SI).
-
-    com_BN3, rotation_BN33, twist_BN6   of the bodies (linear, then angular velocity)
-    is_awake_BN     sleeping bodies are not moved
-    rod_B3          a point of the rod's axis
-    """
-
-    com_BN3: Floats
-    rotation_BN33: Floats
-    twist_BN6: Floats
-    is_awake_BN: Bools
-    rod_B3: Floats
 
 
 class StepSettings(NamedTuple):
@@ -49,56 +36,42 @@ class StepSettings(NamedTuple):
 @jit
 def advance_substeps(
     bodies: Bodies,
-    manifolds: tuple[Manifold, Manifold],
-    breaking: tuple[Floats, Floats],
     state: State,
-    rod_velocity_B2: Floats,
+    manifolds: tuple[Manifold, Manifold],
+    rows: ContactRows,
     forward_B2: Floats,
     cfg: StepSettings,
 ) -> Floats:
     """Advance ``state`` and the ``manifolds`` with table and rod; planar poses BN3 (x, y, yaw).
 
-    ``breaking``: breaking distances BN of the manifolds; ``forward_B2``: direction of the rod.
+    ``rows``: work space; ``forward_B2``: direction of the rod.
     """
-    com_BN3, rotation_BN33, twist_BN6, is_awake_BN, rod_B3 = state
-    (table, rod), (table_breaking_BN, rod_breaking_BN) = manifolds, breaking
-    planar_BN3, table_B3 = np.empty_like(com_BN3), np.zeros_like(rod_B3)
+    planar_BN3, (table, rod) = np.empty_like(state.com_BN3), manifolds
     settings = cfg.spinning_m, cfg.dt, cfg.iterations
     for step in range(cfg.substeps):
-        contact_BN7 = detect_rod(
-            bodies, com_BN3, rotation_BN33, rod_B3, cfg.rod_radius_m, cfg.tip_height_m
-        )
-        update_manifold(rod, contact_BN7, com_BN3, rotation_BN33, rod_B3, rod_breaking_BN)
-        _planar_pose(com_BN3, rotation_BN33, planar_BN3)
+        contact_BN7 = detect_rod(bodies, state, rod.origin_B3, cfg.rod_radius_m, cfg.tip_height_m)
+        update_manifold(rod, contact_BN7, state)
+        _planar_pose(state, planar_BN3)
         # The first substep tests all pairs: bodies may start out in contact.
-        is_tested_BN = is_awake_BN | (step == 0)
+        is_tested_BN = state.is_awake_BN | (step == 0)
         pair_BNN9 = detect_pairs(bodies, planar_BN3, cfg.margin_m, is_tested_BN)
-        _wake(rod, pair_BNN9, is_awake_BN)
-        is_active_BN = _active(pair_BNN9, is_awake_BN)
-        contact_BN7 = detect_table(bodies, com_BN3, rotation_BN33, forward_B2, is_active_BN)
-        update_manifold(table, contact_BN7, com_BN3, rotation_BN33, table_B3, table_breaking_BN)
-        twist_BN6[..., 2] -= GRAVITY * cfg.dt
-        solve_contacts(
-            bodies,
-            manifolds,
-            pair_BNN9,
-            rotation_BN33,
-            rod_velocity_B2,
-            settings,
-            is_active_BN,
-            twist_BN6,
-        )
-        _integrate(state, rod_velocity_B2, cfg.dt)
-    _planar_pose(com_BN3, rotation_BN33, planar_BN3)
+        _wake(rod, pair_BNN9, state.is_awake_BN)
+        is_active_BN = _active(pair_BNN9, state.is_awake_BN)
+        contact_BN7 = detect_table(bodies, state, forward_B2, is_active_BN)
+        update_manifold(table, contact_BN7, state)
+        state.twist_BN6[..., 2] -= GRAVITY * cfg.dt
+        solve_contacts(bodies, state, manifolds, pair_BNN9, is_active_BN, rows, settings)
+        _integrate(state, rod, cfg.dt)
+    _planar_pose(state, planar_BN3)
     return planar_BN3
 
 
 @jit
-def _planar_pose(com_BN3: Floats, rotation_BN33: Floats, planar_BN3: Floats) -> None:
+def _planar_pose(state: State, planar_BN3: Floats) -> None:
     """x, y and the yaw of the rotation about z that is nearest to the body's rotation."""
-    for b, n in np.ndindex(com_BN3.shape[:2]):
-        R_33 = rotation_BN33[b, n]
-        planar_BN3[b, n, 0], planar_BN3[b, n, 1] = com_BN3[b, n, 0], com_BN3[b, n, 1]
+    for b, n in np.ndindex(planar_BN3.shape[:2]):
+        R_33 = state.rotation_BN33[b, n]
+        planar_BN3[b, n, :2] = state.com_BN3[b, n, :2]
         planar_BN3[b, n, 2] = math.atan2(R_33[1, 0] - R_33[0, 1], R_33[0, 0] + R_33[1, 1])
 
 
@@ -121,19 +94,18 @@ def _active(pair_BNN9: Floats, is_awake_BN: Bools) -> Bools:
 
 
 @jit
-def _integrate(state: State, rod_velocity_B2: Floats, dt: float) -> None:
+def _integrate(state: State, rod: Manifold, dt: float) -> None:
     """Semi-implicit Euler; sleeping bodies lose their velocity instead."""
-    com_BN3, rotation_BN33, twist_BN6, is_awake_BN, rod_B3 = state
-    for b in range(len(com_BN3)):
-        rod_B3[b, 0] += rod_velocity_B2[b, 0] * dt
-        rod_B3[b, 1] += rod_velocity_B2[b, 1] * dt
-        for n in range(com_BN3.shape[1]):
-            if not is_awake_BN[b, n]:
-                twist_BN6[b, n] = 0.0
+    for b in range(len(state.com_BN3)):
+        rod.origin_B3[b, 0] += rod.velocity_B2[b, 0] * dt
+        rod.origin_B3[b, 1] += rod.velocity_B2[b, 1] * dt
+        for n in range(state.com_BN3.shape[1]):
+            if not state.is_awake_BN[b, n]:
+                state.twist_BN6[b, n] = 0.0
                 continue
             for k in range(3):
-                com_BN3[b, n, k] += twist_BN6[b, n, k] * dt
-            _rotate(rotation_BN33[b, n], twist_BN6[b, n, 3:], dt)
+                state.com_BN3[b, n, k] += state.twist_BN6[b, n, k] * dt
+            _rotate(state.rotation_BN33[b, n], state.twist_BN6[b, n, 3:], dt)
 
 
 @jit
