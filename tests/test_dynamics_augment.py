@@ -1,6 +1,4 @@
-"""The augmentation keeps a scene a true scene: checked on shapes, points and cameras whose motion
-is known.
-"""
+"""Augmentation maps scenes consistently: checked on shapes, points and cameras of known motion."""
 
 from dataclasses import replace
 
@@ -21,13 +19,13 @@ def make_batch(objects: Objects) -> DynamicsBatch:
     scenes, num = objects.valid_N.shape
     tip, actions = make_actions(scenes)
     g = torch.Generator().manual_seed(3)
-    turns = [
+    rotations = [
         torch.from_numpy(rotation_z(float(a))).float()
         for a in torch.rand(scenes * 5 * num, generator=g)
     ]
     translation = torch.randn(scenes, 5, num, 3, generator=g) * 0.05
     return DynamicsBatch(
-        objects, tip, actions, translation, torch.stack(turns).reshape(scenes, 5, num, 3, 3)
+        objects, tip, actions, translation, torch.stack(rotations).reshape(scenes, 5, num, 3, 3)
     )
 
 
@@ -38,14 +36,14 @@ def blob(offset_m: Tensor) -> Tensor:
     return torch.exp(-((grid - offset_m).square().sum(-1)) / (2 * 0.02**2))
 
 
-def middle(crop: Tensor) -> Tensor:
-    """Where the weight of a crop lies, metres from its centre."""
+def center_of_mass(crop: Tensor) -> Tensor:
+    """Centre of mass of a crop, metres from its centre."""
     line = (torch.arange(16) + 0.5 - 8) * VOXEL_M
     grid = torch.stack(torch.meshgrid(line, line, line, indexing="ij"), -1)
     return (crop[..., None] * grid).sum((0, 1, 2)) / crop.sum()
 
 
-def test_nothing_happens_without_a_turn_or_shift() -> None:
+def test_without_rotation_mirror_and_shift_nothing_changes() -> None:
     batch = make_batch(make_objects())
     same = augment(
         batch,
@@ -58,7 +56,7 @@ def test_nothing_happens_without_a_turn_or_shift() -> None:
     torch.testing.assert_close(same.translation_BTN3, batch.translation_BTN3)
 
 
-def test_the_crop_turns_with_the_world_and_moves_against_the_shift() -> None:
+def test_the_crop_rotates_with_the_world_and_moves_against_the_shift() -> None:
     offset, shift = torch.tensor([0.03, -0.01, 0.02]), torch.tensor([0.01, 0.02, 0.0])
     objects = make_objects(scenes=2, num=1)
     objects = replace(objects, crop_NCXYZ=blob(offset).expand(2, 1, 1, 16, 16, 16))
@@ -67,17 +65,15 @@ def test_the_crop_turns_with_the_world_and_moves_against_the_shift() -> None:
     for i in range(2):
         expected = M[i] @ (offset - shift)
         torch.testing.assert_close(
-            middle(found.objects.crop_NCXYZ[i, 0, 0]), expected, atol=1e-3, rtol=0
+            center_of_mass(found.objects.crop_NCXYZ[i, 0, 0]), expected, atol=1e-3, rtol=0
         )
         torch.testing.assert_close(
             found.objects.center_N3[i, 0], M[i] @ (objects.center_N3[i, 0] + shift)
         )
 
 
-def test_points_of_the_body_arrive_at_the_mapped_place() -> None:
-    """Move a point of the body by the old motion and map it, or map it and move it by the new
-    motion.
-    """
+def test_moving_a_body_commutes_with_mapping_the_world() -> None:
+    """Moving a point and then mapping it equals mapping it and moving it by the new motion."""
     batch = make_batch(make_objects())
     M = rotate_flip(torch.tensor([0.6, 2.0, -1.0]), torch.tensor([False, True, True]))
     shift = torch.randn(3, 3, 3) * 0.01

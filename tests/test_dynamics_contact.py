@@ -1,4 +1,4 @@
-"""The model contact: what it draws, how sure it is, and what its parts see."""
+"""The model contact: samples, calibration of its uncertainty, and inputs of its encoder."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ UNCERTAINTY = ShapeUncertainty(
 )
 
 
-def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_there() -> None:
+def test_packing_is_lossless_and_unlikely_surfaces_are_dropped() -> None:
     objects = make_objects()
     objects.radial_profile_NRD3[0, 0, 3, :, 2] = 0.05
     shapes = shapes_of(objects)
@@ -38,7 +38,7 @@ def test_surfaces_are_packed_and_unpacked_unchanged_and_what_is_unlikely_is_not_
     assert (shapes.radius_BNRD[0, 0, 3] == 0).all() and (shapes.radius_BNRD[0, 1] > 0).all()
 
 
-def test_objects_stand_on_their_foot_or_where_none_is_seen_on_their_lowest_band() -> None:
+def test_objects_stand_on_their_support_or_else_on_their_lowest_layer() -> None:
     objects = make_objects(scenes=1, num=2)
     (
         objects.radial_profile_NRD3[:, :, SUPPORT, :, 0],
@@ -46,29 +46,31 @@ def test_objects_stand_on_their_foot_or_where_none_is_seen_on_their_lowest_band(
     ) = 0.02, 0.03
     objects.radial_profile_NRD3[:, 1, SUPPORT, :, 2] = 0.05
     bodies = shapes_of(objects).bodies(objects.valid_N, 0.02)
-    away_BNM = (bodies.support_BNP2 + bodies.com_offset_BN2[:, :, None]).norm(dim=-1)
+    distance_BNP = (bodies.support_BNP2 + bodies.com_offset_BN2[:, :, None]).norm(dim=-1)
     torch.testing.assert_close(
-        away_BNM, torch.tensor([0.02, 0.03])[None, :, None].expand(away_BNM.shape)
+        distance_BNP, torch.tensor([0.02, 0.03])[None, :, None].expand(distance_BNP.shape)
     )
 
 
-def test_draws_begin_with_the_objects_as_they_seem_and_vary_as_much_as_is_said() -> None:
+def test_the_first_sample_is_the_input_and_the_spread_of_all_is_as_configured() -> None:
     shapes = shapes_of(make_objects())
-    drawn = shapes.sample(UNCERTAINTY, torch.Generator().manual_seed(0))
-    first = {name: value[: len(shapes.mass_factor_BN)] for name, value in vars(drawn).items()}
+    samples = shapes.sample(UNCERTAINTY, torch.Generator().manual_seed(0))
+    first = {name: value[: len(shapes.mass_factor_BN)] for name, value in vars(samples).items()}
     for name, value in vars(shapes).items():
         torch.testing.assert_close(first[name], value)
-    by_draw = drawn.radius_BNRD.unflatten(0, (UNCERTAINTY.num_samples, -1)) - shapes.radius_BNRD
-    assert float(by_draw.std(0).mean()) == pytest.approx(0.002 * 2**0.5, rel=0.1), (
-        "the Laplace law's own deviation"
+    deviation = samples.radius_BNRD.unflatten(0, (UNCERTAINTY.num_samples, -1)) - shapes.radius_BNRD
+    assert float(deviation.std(0).mean()) == pytest.approx(0.002 * 2**0.5, rel=0.1), (
+        "standard deviation of a Laplace law"
     )
-    assert float(drawn.mass_factor_BN.log().std()) == pytest.approx(0.1, rel=0.1)
-    assert float(drawn.friction_factor_BN.log().std()) == pytest.approx(0.2, rel=0.1)
-    torch.testing.assert_close(by_draw[:, 0, 0], by_draw[:, 1, 2], msg="all objects are off alike")
+    assert float(samples.mass_factor_BN.log().std()) == pytest.approx(0.1, rel=0.1)
+    assert float(samples.friction_factor_BN.log().std()) == pytest.approx(0.2, rel=0.1)
+    torch.testing.assert_close(
+        deviation[:, 0, 0], deviation[:, 1, 2], msg="all objects deviate alike"
+    )
 
 
 @torch.no_grad()
-def test_a_forecast_is_the_mean_of_its_futures_and_their_spread_its_doubt() -> None:
+def test_a_forecast_is_the_mean_of_its_samples_with_their_spread() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     objects = replace(
         objects, center_N3=objects.center_N3 * torch.tensor([1.0, 1.0, 0.0]) + tip[:, None] * 0.5
@@ -78,14 +80,14 @@ def test_a_forecast_is_the_mean_of_its_futures_and_their_spread_its_doubt() -> N
         isinstance(model, Contact) and model.num_samples == NET.contact.uncertainty.num_samples == 3
     )
     found = unroll(model, objects, tip, actions)
-    futures = [
+    samples = [
         unroll_samples(
             model, part, initial_state(objects.center_N3, objects.valid_N), tip, actions
         ).translation_BTN3
         for part in model.sample(model.appearance(objects)).chunk(3)
     ]
     torch.testing.assert_close(
-        found.translation_BTN3, torch.stack(futures).mean(0), atol=1e-5, rtol=1e-4
+        found.translation_BTN3, torch.stack(samples).mean(0), atol=1e-5, rtol=1e-4
     )
     assert (
         found.spread_BTN is not None
@@ -94,11 +96,11 @@ def test_a_forecast_is_the_mean_of_its_futures_and_their_spread_its_doubt() -> N
     )
     model.error_model = fit_error_model(np.full((5, 50), 0.01), np.full((5, 50), 0.01))
     assert unroll(model, objects, tip, actions).sigma_BTN is not None
-    assert model.train().num_samples == 1, "training sees the objects as they seem"
+    assert model.train().num_samples == 1, "training uses the perceived shapes"
 
 
 @torch.no_grad()
-def test_what_nothing_touches_stays_whatever_the_graph_network_says() -> None:
+def test_objects_without_contact_stay_whatever_the_graph_network_outputs() -> None:
     objects = make_objects(scenes=1)
     objects = replace(
         objects, center_N3=torch.tensor([[[0.06, 0.0, 0.04], [0.0, 0.3, 0.04], [0.0, -0.3, 0.04]]])
@@ -112,7 +114,7 @@ def test_what_nothing_touches_stays_whatever_the_graph_network_says() -> None:
     slid = unroll(model, objects, tip, actions).translation_BTN3[0]
     assert (found[:, 1:].abs() < 1e-5).all()
     assert float(slid[-1, 0].norm()) > 0.03
-    assert float((found - slid)[-1, 0].norm()) > 1e-3, "what slides is corrected"
+    assert float((found - slid)[-1, 0].norm()) > 1e-3, "sliding objects are corrected"
 
 
 @pytest.mark.parametrize("wanted, used", [(1, 1), (2, 2), (100, 3)])
@@ -143,7 +145,7 @@ def test_a_plan_is_predicted_with_as_many_samples_as_wanted_and_available(
 
 
 @torch.no_grad()
-def test_single_steps_begin_where_objects_truly_were() -> None:
+def test_teacher_forced_steps_start_at_the_true_states() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model("contact", objects).train()
     whole = unroll(model, objects, tip, actions)
@@ -155,11 +157,11 @@ def test_single_steps_begin_where_objects_truly_were() -> None:
     far = torch.full_like(whole.translation_BTN3, 5.0)
     apart = teacher_forced(model, replace(batch, translation_BTN3=far))
     assert (apart.translation_BTN3[:, 1:] - 5).abs().max() < 0.5, (
-        "motion goes on from the given place"
+        "motion continues from the given state"
     )
 
 
-def test_calibration_finds_the_law_that_errors_were_drawn_from() -> None:
+def test_calibration_recovers_the_law_of_simulated_errors() -> None:
     rng = np.random.default_rng(0)
     spread_TP = rng.gamma(2.0, 0.005, (3, 4000))
     scale_TP = np.hypot(np.array([[0.001], [0.002], [0.004]]), 1.5 * spread_TP)
@@ -182,11 +184,11 @@ def test_calibration_finds_the_law_that_errors_were_drawn_from() -> None:
     )
     more = found.sigma(torch.zeros(1, 5, 1))
     assert more[0, 3:, 0].tolist() == [pytest.approx(found.floor_T[-1])] * 2, (
-        "later steps count as the last"
+        "later steps use the last floor"
     )
 
 
-def test_what_rests_does_not_make_the_law_too_sure_of_what_moves() -> None:
+def test_resting_objects_do_not_make_the_law_overconfident_about_moving_ones() -> None:
     rng = np.random.default_rng(0)
     spread_TP = rng.gamma(2.0, 0.005, (3, 400)) * (np.arange(400) % 4 > 0)
     error_TP = np.linalg.norm(rng.normal(size=(3, 400, 2)), axis=-1) * np.maximum(spread_TP, 1e-5)
@@ -197,17 +199,17 @@ def test_what_rests_does_not_make_the_law_too_sure_of_what_moves() -> None:
     assert 0.85 < (error_TP < error_quantile(0.9, scale_TP, found.dof))[moved].mean() < 0.95
 
 
-def test_lengths_are_of_valid_objects_only() -> None:
+def test_errors_and_spreads_are_of_valid_objects_only() -> None:
     true = torch.zeros(2, 3, 2, 3)
-    found = true + torch.tensor([0.03, 0.04, 0.0])
+    predicted = true + torch.tensor([0.03, 0.04, 0.0])
     error_TP, spread_TP = errors_and_spreads(
-        found, true, torch.ones(2, 3, 2), torch.tensor([[True, False], [True, True]])
+        predicted, true, torch.ones(2, 3, 2), torch.tensor([[True, False], [True, True]])
     )
     assert error_TP.shape == spread_TP.shape == (3, 3) and error_TP == pytest.approx(0.05)
 
 
-def test_points_know_how_far_they_are_above_and_below_another_object() -> None:
-    """Two discs 50 mm high (bands of 20 mm, the third half full), one 30 mm above the other and
+def test_edge_inputs_hold_the_clearance_above_and_below_another_object() -> None:
+    """Two discs 50 mm high (layers of 20 mm, the third half full), one 30 mm above the other and
     aside by 20 mm.
     """
     objects = make_objects(scenes=1, num=2)
@@ -218,17 +220,17 @@ def test_points_know_how_far_they_are_above_and_below_another_object() -> None:
     objects = replace(objects, center_N3=center, size_N3=size, radial_profile_NRD3=outline)
     encoder = SurfaceEncoder(replace(NET.contact.surface_points, rows=(3, 4, 5)), NET.graph.unit_m)
     state, shapes = initial_state(center, objects.valid_N), shapes_of(objects)
-    first_BNP3, _, _, there_BNP = encoder.points(shapes, state, torch.eye(3)[None])
-    assert (there_BNP == 1).all()
-    place_BNP3 = first_BNP3 + center[:, :, None]
-    assert place_BNP3[0, :, :, 2].unique().tolist() == pytest.approx(
+    first_BNP3, _, _, presence_BNP = encoder.points(shapes, state, torch.eye(3)[None])
+    assert (presence_BNP == 1).all()
+    points_BNP3 = first_BNP3 + center[:, :, None]
+    assert points_BNP3[0, :, :, 2].unique().tolist() == pytest.approx(
         [0.01, 0.03, 0.05, 0.09, 0.11, 0.13]
     )
-    numbers = encoder.edge_inputs(shapes, state, place_BNP3, torch.eye(3)[None]) * NET.graph.unit_m
+    numbers = encoder.edge_inputs(shapes, state, points_BNP3, torch.eye(3)[None]) * NET.graph.unit_m
     above_P, below_P = numbers[0, 1, 0, :, 5], numbers[0, 0, 1, :, 6]
-    near_P = place_BNP3[0, 1, :, 0].hypot(place_BNP3[0, 1, :, 1]) < 0.0299
+    near_P = points_BNP3[0, 1, :, 0].hypot(points_BNP3[0, 1, :, 1]) < 0.0299
     assert above_P[near_P].unique().tolist() == pytest.approx([0.03, 0.05, 0.07]), (
-        "of each band's bottom"
+        "of each layer's bottom"
     )
     assert above_P[~near_P].min() == pytest.approx(0.2), "nothing is below these"
     assert float(below_P.min()) == pytest.approx(0.03), (

@@ -18,7 +18,7 @@ CROP = CropConfig(
     cell_m=0.01,
     path_cell_m=0.01,
 )
-QUARTER = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # y goes to z
+QUARTER_TURN = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # y goes to z
 
 
 def make_encoder() -> HeightmapEncoder:
@@ -27,17 +27,19 @@ def make_encoder() -> HeightmapEncoder:
 
 
 def box(half_x: int, half_y: int, half_z: int) -> Tensor:
-    """A mask of a box, 16 cm wide, by half its sides in cm."""
+    """A mask of 16 cm with a box of given half sides (cm)."""
     mask = torch.zeros(16, 16, 16)
     mask[8 - half_x : 8 + half_x, 8 - half_y : 8 + half_y, 8 - half_z : 8 + half_z] = 1
     return mask
 
 
-@pytest.mark.parametrize(("turned", "half_y", "half_z"), [(torch.eye(3), 2, 4), (QUARTER, 4, 2)])
-def test_a_box_has_its_underside_and_top_at_half_its_height_however_it_is_turned(
-    turned: Tensor, half_y: int, half_z: int
+@pytest.mark.parametrize(
+    ("rotation", "half_y", "half_z"), [(torch.eye(3), 2, 4), (QUARTER_TURN, 4, 2)]
+)
+def test_underside_and_top_of_a_box_are_at_half_its_height_in_any_orientation(
+    rotation: Tensor, half_y: int, half_z: int
 ) -> None:
-    coverage, underside, top = make_encoder().maps(box(3, 2, 4)[None], turned[None])[0]
+    coverage, underside, top = make_encoder().maps(box(3, 2, 4)[None], rotation[None])[0]
     expected = torch.zeros(16, 16)
     expected[5:11, 8 - half_y : 8 + half_y] = 1
     torch.testing.assert_close(coverage, expected, atol=1e-4, rtol=0)
@@ -46,7 +48,7 @@ def test_a_box_has_its_underside_and_top_at_half_its_height_however_it_is_turned
     torch.testing.assert_close(top, middle * expected, atol=1e-5, rtol=0)
 
 
-def test_two_blocks_know_the_gap_between_them_and_where_it_is() -> None:
+def test_the_gap_between_two_blocks_is_measured_and_located() -> None:
     """A small block 5 cm above a wide one's top, aside: the gap is below the one and above the
     other.
     """
@@ -77,7 +79,7 @@ def test_two_blocks_know_the_gap_between_them_and_where_it_is() -> None:
     )
 
 
-def test_the_slope_of_a_roof_is_seen_by_what_falls_onto_it() -> None:
+def test_the_slope_of_a_roof_is_measured_under_a_falling_block() -> None:
     encoder, ends = make_encoder(), (torch.tensor([0]), torch.tensor([1]))
     roof = torch.stack(
         [(torch.arange(16) < 14 - abs(x - 7)).float().expand(16, 16) for x in range(16)]
@@ -90,7 +92,7 @@ def test_the_slope_of_a_roof_is_seen_by_what_falls_onto_it() -> None:
     torch.testing.assert_close(on_roof, torch.tensor([-1.0, 0.0]), atol=0.05, rtol=0)
 
 
-def test_the_underside_is_told_from_the_table() -> None:
+def test_the_lowest_point_is_located_above_the_table() -> None:
     encoder = make_encoder()
     mask = box(2, 2, 3)
     mask[:8, :, :6] = 0  # its lowest part is at +x
@@ -103,7 +105,7 @@ def test_the_underside_is_told_from_the_table() -> None:
 
 
 @torch.no_grad()
-def test_a_lone_object_has_no_pair_and_an_absent_one_is_not_read() -> None:
+def test_padding_and_lone_objects_have_no_features_of_pairs() -> None:
     encoder, mask = make_encoder(), torch.stack([box(2, 2, 3), box(3, 2, 2)])[None]
     center = torch.tensor([[[0.0, 0.0, 0.1], [0.05, 0.0, 0.02]]])
     tip = TipMotion(torch.zeros(1, 3), torch.zeros(1, 3))

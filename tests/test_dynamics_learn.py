@@ -1,4 +1,4 @@
-"""Training from scenes to a checkpoint, the bounds, and what a loader refuses."""
+"""Training from scenes to a file, reference models, variants, and errors of loading."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,14 +19,15 @@ from oes.dynamics.checkpoint import (
     load_model,
     save_model,
 )
-from oes.dynamics.learn import build_model, resolve_model, training_examples
+from oes.dynamics.contact import Contact
+from oes.dynamics.learn import ModelNameError, build_model, resolve_model, training_examples
 from oes.dynamics.models import OES, GraphXYZ, GraphXYZImageFixed
 from oes.dynamics.reference_models import Simulator
 from oes.dynamics.train import TaskConfig, Variant
 from oes.dynamics.unroll import DynamicsModel, unroll
 from oes.episode import Episode
 from oes.geom.se3 import transform
-from oes.objects import Objects
+from oes.objects import Objects, map_tensors
 from oes.training.checkpoint import TrainConfig
 from tests.factories import make_episode
 from tests.test_dynamics_models import INPUTS, NET, make_actions, make_model, make_objects
@@ -65,25 +66,23 @@ SETTINGS = ("train1", "train2", "fixed")
 
 
 class Scenes:
-    """Six episodes of one or two objects, each drawn once in every setting."""
+    """Six episodes of one or two objects, each observed once in every setting."""
 
     def __init__(self) -> None:
         self.episodes = {
             i: make_episode(seed=i, num_steps=6, num_objects=1 + i % 2) for i in range(6)
         }
 
-    def draws(self, setting: str) -> list[int]:
+    def observations(self, setting: str) -> list[int]:
         return [SETTINGS.index(setting) * 6 + i for i in range(6)]
 
-    def episode(self, draw_i: int) -> int:
-        return draw_i % 6
+    def episode(self, observation_i: int) -> int:
+        return observation_i % 6
 
-    def scene(self, draw_i: int) -> tuple[Objects, Tensor]:
-        num = len(self.episodes[draw_i % 6].bodies)
-        objects = Objects(
-            **{k: v[0] for k, v in vars(make_objects(scenes=1, num=num, seed=draw_i)).items()}
-        )
-        return objects, torch.arange(num)
+    def scene(self, observation_i: int) -> tuple[Objects, Tensor]:
+        num = len(self.episodes[observation_i % 6].bodies)
+        objects = make_objects(scenes=1, num=num, seed=observation_i)
+        return map_tensors(objects, lambda x: x[0]), torch.arange(num)
 
     def with_gt_surfaces(self) -> "Scenes":
         self.are_true = True
@@ -110,7 +109,7 @@ def test_examples_hold_the_true_motion_of_the_perceived_point(scenes: Scenes) ->
     assert not data.objects.valid_N[0, 1]
 
 
-def test_all_draws_of_an_episode_are_held_out_together(scenes: Scenes) -> None:
+def test_no_episode_is_in_training_and_validation(scenes: Scenes) -> None:
     _, data = training_examples(OES, CFG, scenes, scenes.episodes)
     train_U, validation_U = data.split(CFG.validation_share)
     train_episodes, held_episodes = (
@@ -121,7 +120,7 @@ def test_all_draws_of_an_episode_are_held_out_together(scenes: Scenes) -> None:
     assert len(train_U) + len(validation_U) == 12
 
 
-def test_the_fixed_camera_has_draws_of_its_own(scenes: Scenes) -> None:
+def test_the_fixed_camera_has_observations_of_its_own(scenes: Scenes) -> None:
     _, data = training_examples(GraphXYZImageFixed, CFG, scenes, scenes.episodes)
     assert len(data.tip_U3) == 6
     with pytest.raises(ValueError, match="fixed"):
@@ -133,13 +132,13 @@ def test_the_fixed_camera_has_draws_of_its_own(scenes: Scenes) -> None:
         )
 
 
-def test_missing_episodes_are_left_out(scenes: Scenes) -> None:
+def test_observations_of_missing_episodes_are_ignored(scenes: Scenes) -> None:
     _, data = training_examples(GraphXYZ, CFG, scenes, {i: scenes.episodes[i] for i in (0, 3)})
     assert set(data.episode_U.tolist()) == {0, 3}
 
 
 @pytest.mark.parametrize("name", ["oes", "graph_xyz_image"])
-def test_a_trained_model_comes_back_from_disk(name: str, scenes: Scenes, tmp_path: Path) -> None:
+def test_a_trained_model_is_restored_from_disk(name: str, scenes: Scenes, tmp_path: Path) -> None:
     model, log = build_model(resolve_model(name, CFG), scenes, scenes.episodes, tmp_path)
     assert log[-1]["step"] == CFG.fit.steps
     assert {"translation", "rotation", "mm_5", "deg_5"} <= set(log[-1])
@@ -158,6 +157,21 @@ def test_training_again_gives_the_same_weights(scenes: Scenes, tmp_path: Path) -
         (tmp_path / name).mkdir()
         runs.append(build_model(spec, scenes, scenes.episodes, tmp_path / name)[0].state_dict())
     assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
+
+
+def test_a_variant_changes_the_training_of_its_model() -> None:
+    assert resolve_model("contact", CFG).cfg == CFG
+    changed = {name: resolve_model(name, CFG) for name in VARIANTS}
+    assert {spec.kind for spec in changed.values()} == {Contact}
+    assert changed["contact_gt"].cfg.net.contact.gt_surfaces
+    assert not changed["contact_noaug"].cfg.augment.rotate
+    assert not changed["contact_onestep"].cfg.unroll
+    fewer = replace(CFG, variants={"contact_100": Variant(100, True, True, False)})
+    assert resolve_model("contact_100", fewer).num_episodes == 100
+    with pytest.raises(ModelNameError, match=r"no variant 'contact_gt'.*contact_100"):
+        resolve_model("contact_gt", fewer)
+    with pytest.raises(ModelNameError, match=r"unknown model 'planet'.*graph_xyz"):
+        resolve_model("planet", CFG)
 
 
 def test_the_simulator_takes_the_mean_of_all_bodies(scenes: Scenes, tmp_path: Path) -> None:
@@ -181,7 +195,7 @@ def test_static_is_saved_and_forecasts_rest(scenes: Scenes, tmp_path: Path) -> N
     assert not found.translation_BTN3.any()
 
 
-def test_a_loader_refuses_what_it_does_not_know(tmp_path: Path) -> None:
+def test_missing_broken_and_foreign_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"model\.safetensors"):
         load_any_model(tmp_path)
     (tmp_path / MODEL_FILE).write_bytes(b"not weights")
@@ -199,7 +213,7 @@ def test_a_loader_refuses_what_it_does_not_know(tmp_path: Path) -> None:
         load_any_model(tmp_path)
 
 
-def test_a_loader_refuses_weights_that_do_not_fit_their_config(tmp_path: Path) -> None:
+def test_weights_that_do_not_fit_their_config_are_refused(tmp_path: Path) -> None:
     save_model(tmp_path, make_model("graph_xyz", make_objects()))
     tensors = load_file(tmp_path / MODEL_FILE)
     wider = replace(NET, graph=replace(NET.graph, width=24))

@@ -1,4 +1,4 @@
-"""What must hold for every forecaster, whatever it looks at."""
+"""Properties of all models: equivariance, padding, unrolling, learning one episode."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from oes.dynamics.unroll import (
     unroll_mean,
     unroll_samples,
 )
-from oes.objects import Objects
+from oes.objects import Objects, map_tensors
 
 NET = NetConfig(
     graph=GraphConfig(width=16, layers=3, rounds=2, unit_m=0.05, angular_velocity=True),
@@ -66,19 +66,19 @@ NET = NetConfig(
         gt_surfaces=False,
     ),
 )
-FALLING, SURFACES_FALLING = (
+OES_FALLING, CONTACT_FALLING = (
     "oes falling",
     "contact falling",
 )  # the same models, reading what falls ask for
 LEARNED = [
     *(name for name, kind in MODELS.items() if issubclass(kind, GraphModel)),
-    FALLING,
-    SURFACES_FALLING,
+    OES_FALLING,
+    CONTACT_FALLING,
 ]
 FORECASTERS = [
     *(name for name, kind in MODELS.items() if issubclass(kind, DynamicsModel)),
-    FALLING,
-    SURFACES_FALLING,
+    OES_FALLING,
+    CONTACT_FALLING,
 ]
 INPUTS = InputSpec(
     crop_channels=2,
@@ -105,12 +105,12 @@ def make_objects(scenes: int = 3, num: int = 3, seed: int = 0) -> Objects:
         ),
         camera_NV12=torch.randn(scenes, num, VIEWS, 12, generator=g),
         view_NV=torch.tensor([True, False]).expand(scenes, num, VIEWS).clone(),
-        radial_profile_NRD3=make_outlines(scenes, num, g),
+        radial_profile_NRD3=make_profiles(scenes, num, g),
         com_offset_N3=torch.randn(scenes, num, 3, generator=g) * 0.002,
     )
 
 
-def make_outlines(scenes: int, num: int, g: torch.Generator) -> Tensor:
+def make_profiles(scenes: int, num: int, g: torch.Generator) -> Tensor:
     """Ellipses 3 to 4 cm in radius at every height."""
     angle_D = torch.arange(32) * (2 * torch.pi / 32)
     waist = torch.rand(scenes, num, 1, 1, generator=g) * 0.01
@@ -132,7 +132,7 @@ def make_model(name: str, objects: Objects) -> DynamicsModel:
     falling = replace(
         NET.contact, surface_points=replace(NET.contact.surface_points, rows=(3, 4)), physics=None
     )
-    is_falling = name in (FALLING, SURFACES_FALLING)
+    is_falling = name in (OES_FALLING, CONTACT_FALLING)
     net = (
         replace(NET, crop=replace(NET.crop, encoder="heightmap"), contact=falling)
         if is_falling
@@ -144,7 +144,7 @@ def make_model(name: str, objects: Objects) -> DynamicsModel:
 
 
 def only(objects: Objects, index: Tensor) -> Objects:
-    return Objects(**{name: value[:, index] for name, value in vars(objects).items()})
+    return map_tensors(objects, lambda x: x[:, index])
 
 
 @torch.no_grad()
@@ -168,10 +168,10 @@ def test_a_mirrored_scene_gets_the_mirrored_forecast(name: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model(name, objects)
     here = unroll(model, objects, tip, actions)
-    turn = rotate_flip(torch.tensor([0.0, torch.pi, torch.pi / 2]), torch.ones(3, dtype=torch.bool))
+    R = rotate_flip(torch.tensor([0.0, torch.pi, torch.pi / 2]), torch.ones(3, dtype=torch.bool))
     there = transform_batch(
         DynamicsBatch(objects, tip, actions, here.translation_BTN3, here.rotation_BTN33),
-        turn,
+        R,
         ZERO,
         0.01,
     )
@@ -205,9 +205,7 @@ def test_the_forecast_does_not_depend_on_where_the_table_is(name: str) -> None:
 def test_padded_objects_change_nothing(name: str) -> None:
     objects, (tip, actions) = make_objects(num=2), make_actions()
     model, padded = make_model(name, objects), make_objects(num=3, seed=5)
-    padded = Objects(
-        **{k: torch.cat([v, getattr(padded, k)[:, 2:]], 1) for k, v in vars(objects).items()}
-    )
+    padded = map_tensors(objects, lambda x, y: torch.cat([x, y[:, 2:]], 1), padded)
     padded.valid_N[:, 2] = False
     found, wider = unroll(model, objects, tip, actions), unroll(model, padded, tip, actions)
     torch.testing.assert_close(wider.translation_BTN3[:, :, :2], found.translation_BTN3)
@@ -216,7 +214,7 @@ def test_padded_objects_change_nothing(name: str) -> None:
 
 @torch.no_grad()
 @pytest.mark.parametrize("name", FORECASTERS)
-def test_where_no_object_is_nothing_is_forecast(name: str) -> None:
+def test_a_scene_without_objects_has_an_empty_forecast(name: str) -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     found = unroll(
         make_model(name, objects), only(objects, torch.tensor([], dtype=torch.long)), tip, actions
@@ -258,14 +256,14 @@ def test_rotations_stay_rotations(name: str) -> None:
 
 @torch.no_grad()
 @pytest.mark.parametrize("name", FORECASTERS)
-def test_without_a_robot_there_is_a_forecast_too(name: str) -> None:
+def test_scenes_without_a_robot_are_forecast(name: str) -> None:
     objects, model = make_objects(), make_model(name, make_objects())
     found = unroll(model, objects, torch.full((3, 3), torch.nan), torch.zeros(3, 5, 3))
     assert found.translation_BTN3.isfinite().all() and found.rotation_BTN33.isfinite().all()
 
 
 @torch.no_grad()
-def test_views_that_do_not_exist_are_not_read() -> None:
+def test_missing_views_are_ignored() -> None:
     objects = make_objects()
     model = make_model("graph_xyz_image", objects)
     other = objects.image_NV3HW.clone()
@@ -280,35 +278,31 @@ def test_views_that_do_not_exist_are_not_read() -> None:
 
 
 @torch.no_grad()
-def test_a_turned_object_is_met_in_its_own_axes() -> None:
-    """Carrying scene, frames and rod round by any angle carries the motion round: the appearance
-    need not be turned.
-    """
+def test_forecasts_are_equivariant_to_rotating_the_state() -> None:
+    """Rotating state and action rotates the motion; the appearance stays as it is at t = 0."""
     objects, (tip, actions) = make_objects(), make_actions()
     model = make_model("oes", objects)
     appearance, state = model.appearance(objects), initial_state(objects.center_N3, objects.valid_N)
-    turn = rotate_flip(torch.full((3,), 0.7), torch.zeros(3, dtype=torch.bool))
+    R = rotate_flip(torch.full((3,), 0.7), torch.zeros(3, dtype=torch.bool))
     here = unroll_mean(model, appearance, state, tip, actions)
-    turned_state = replace(
-        state,
-        center_BN3=state.center_BN3 @ turn.mT,
-        rotation_BN33=turn[:, None] @ state.rotation_BN33,
+    rotated_state = replace(
+        state, center_BN3=state.center_BN3 @ R.mT, rotation_BN33=R[:, None] @ state.rotation_BN33
     )
     there = unroll_mean(
-        model, appearance, turned_state, (turn @ tip[..., None])[..., 0], actions @ turn.mT
+        model, appearance, rotated_state, (R @ tip[..., None])[..., 0], actions @ R.mT
     )
     torch.testing.assert_close(
-        there.translation_BTN3, here.translation_BTN3 @ turn[:, None].mT, atol=1e-6, rtol=1e-4
+        there.translation_BTN3, here.translation_BTN3 @ R[:, None].mT, atol=1e-6, rtol=1e-4
     )
 
 
 def test_the_rotation_loss_is_half_the_angle_for_small_angles() -> None:
     objects, (tip, actions) = make_objects(), make_actions()
     rest = unroll(Static(), objects, tip, actions)
-    turn = rotate_flip(torch.full((3,), 0.1), torch.zeros(3, dtype=torch.bool))[
-        :, None, None
-    ].expand(3, 5, 3, 3, 3)
-    truth = DynamicsBatch(objects, tip, actions, rest.translation_BTN3 + 0.05 / 3**0.5, turn)
+    R = rotate_flip(torch.full((3,), 0.1), torch.zeros(3, dtype=torch.bool))[:, None, None].expand(
+        3, 5, 3, 3, 3
+    )
+    truth = DynamicsBatch(objects, tip, actions, rest.translation_BTN3 + 0.05 / 3**0.5, R)
     terms = loss_terms(rest, truth, 0.05, 1e-4)
     assert float(terms["rotation"]) == pytest.approx(0.05, rel=0.01)
     assert float(terms["translation"]) == pytest.approx(1.0, rel=1e-3)
@@ -318,7 +312,7 @@ def test_the_rotation_loss_is_half_the_angle_for_small_angles() -> None:
 
 
 @pytest.mark.parametrize("name", LEARNED)
-def test_every_model_can_learn_one_episode(name: str) -> None:
+def test_every_model_overfits_one_episode(name: str) -> None:
     objects, tip, actions = (
         make_objects(scenes=1, num=1),
         torch.zeros(1, 3),
@@ -328,7 +322,7 @@ def test_every_model_can_learn_one_episode(name: str) -> None:
         objects, center_N3=torch.tensor([[[0.05, 0.0, 0.04]]])
     )  # before the rod, or nothing slides
     model = make_model(name, objects).train()
-    turn = rotate_flip(torch.linspace(0.1, 0.5, 5), torch.zeros(5, dtype=torch.bool))[
+    R = rotate_flip(torch.linspace(0.1, 0.5, 5), torch.zeros(5, dtype=torch.bool))[
         None, :, None, :, :
     ]
     truth = DynamicsBatch(
@@ -336,7 +330,7 @@ def test_every_model_can_learn_one_episode(name: str) -> None:
         tip,
         actions,
         actions.cumsum(1)[:, :, None] * torch.tensor([0.8, 1.0, 1.0]) + 0.01,
-        turn,
+        R,
     )
     adam = torch.optim.Adam(model.parameters(), lr=5e-3)
     losses = []
@@ -362,18 +356,18 @@ def test_slabs_are_means_over_height() -> None:
     torch.testing.assert_close(folded[0, 0, 3], crop[0, 0, 1, ..., 2:].mean(-1))
 
 
-def test_windows_show_objects_where_they_are_now() -> None:
-    """A block ahead of an object's centre at first; then the object is turned by 90 degrees, and
+def test_windows_show_objects_in_their_current_pose() -> None:
+    """A block ahead of an object's centre at first; then the object is rotated by 90 degrees, and
     the tip passes it.
     """
     encoder = CropEncoder(NET.crop, 2, 16, 0.16)
     slabs = torch.zeros(1, 2, 2, 16, 16)
     slabs[0, 0, :, 8:12, 7:9] = 1
-    turn = rotate_flip(torch.tensor([torch.pi / 2]), torch.tensor([False]))
+    R = rotate_flip(torch.tensor([torch.pi / 2]), torch.tensor([False]))
     state = initial_state(
         torch.tensor([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]]), torch.ones(1, 2, dtype=torch.bool)
     )
-    state = replace(state, rotation_BN33=turn[:, None].expand(1, 2, 3, 3))
+    state = replace(state, rotation_BN33=R[:, None].expand(1, 2, 3, 3))
     shapes = (slabs, state.center_BN3, torch.full((1, 2), torch.pi / 2))
     world_P3 = torch.tensor(
         [[0.0, 0.02, 0.0], [0.02, 0.0, 0.0], [0.0, -0.02, 0.0], [0.0, 0.035, 0.0]]

@@ -57,11 +57,9 @@ def augment(
 
 def rotate_flip(angle_B: Tensor, flip_B: Tensor) -> Tensor:
     """Matrices B33: reflect y where ``flip_B``, then rotate by ``angle_B`` about the vertical."""
-    one_B = torch.ones_like(angle_B)
-    return (
-        yaw_rotation(angle_B)
-        * torch.stack([one_B, torch.where(flip_B, -1.0, one_B), one_B], -1)[:, None]
-    )
+    sign_B3 = torch.ones(len(angle_B), 3)
+    sign_B3[flip_B, 1] = -1
+    return yaw_rotation(angle_B) * sign_B3[:, None]
 
 
 def transform_batch(

@@ -82,14 +82,13 @@ class ObjectShapes:
         x = map_tensors(self, lambda t: torch.cat([t] * samples))
         shift = noise * x.sigma_BNRD * (cfg.radius_sigma * LAPLACE_STD)
         radius = (x.radius_BNRD + shift).clamp(min=MIN_RADIUS_M)
-        mass_change = (normal[..., 3] * cfg.log_mass_sigma).exp()
+        mass, friction = x.mass_factor_BN, x.friction_factor_BN
         return replace(
             x,
             radius_BNRD=torch.where(x.radius_BNRD > 0, radius, x.radius_BNRD),
             com_BN3=x.com_BN3 + normal[..., :3] * cfg.com_sigma_m,
-            mass_factor_BN=x.mass_factor_BN * mass_change,
-            friction_factor_BN=x.friction_factor_BN
-            * (normal[..., 4] * cfg.log_friction_sigma).exp(),
+            mass_factor_BN=mass * (normal[..., 3] * cfg.log_mass_sigma).exp(),
+            friction_factor_BN=friction * (normal[..., 4] * cfg.log_friction_sigma).exp(),
         )
 
     def bodies(self, valid_BN: Tensor, layer_height_m: float) -> RigidBodies:
@@ -136,20 +135,18 @@ class ObjectShapes:
 
     def _inverse_inertia(self) -> Tensor:
         """Inverse inertia BN33, for a mass of 1, of the prism over ``UNION`` about its centroid."""
-        radius_BND = self.radius_BNRD[:, :, UNION].clamp(min=MIN_GYRATION_M)
-        direction_D2 = directions(radius_BND.shape[-1])
+        radius = self.radius_BNRD[:, :, UNION].clamp(min=MIN_GYRATION_M)
+        ray_D2 = directions(radius.shape[-1])
         # Integrals over the area in polar coordinates: r^2/2, r^3/3 and r^4/4 per direction.
-        area_BN1 = (radius_BND.square().mean(-1) / 2)[..., None]
-        first_BN2 = (radius_BND**3 / 3)[..., None].mul(direction_D2).mean(2) / area_BN1
-        outer_D22 = direction_D2[:, :, None] * direction_D2[:, None]
-        second_BN22 = (radius_BND**4 / 4)[..., None, None].mul(outer_D22).mean(2)
-        moment_BN33 = torch.zeros(*radius_BND.shape[:2], 3, 3)
-        moment_BN33[..., :2, :2] = (
-            second_BN22 / area_BN1[..., None] - first_BN2[..., None] * first_BN2[..., None, :]
-        )
-        moment_BN33[..., 2, 2] = self.height_BN.clamp(min=MIN_GYRATION_M) ** 2 / 12
-        total_BN11 = moment_BN33.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-        inverse_BN33: Tensor = torch.linalg.inv(total_BN11 * torch.eye(3) - moment_BN33)
+        area_BN1 = (radius.square().mean(-1) / 2)[..., None]
+        mean_BN2 = (radius**3 / 3)[..., None].mul(ray_D2).mean(2) / area_BN1
+        outer_D22 = ray_D2[:, :, None] * ray_D2[:, None]
+        second_BN22 = (radius**4 / 4)[..., None, None].mul(outer_D22).mean(2) / area_BN1[..., None]
+        covariance = torch.zeros(*radius.shape[:2], 3, 3)
+        covariance[..., :2, :2] = second_BN22 - mean_BN2[..., None] * mean_BN2[..., None, :]
+        covariance[..., 2, 2] = self.height_BN.clamp(min=MIN_GYRATION_M) ** 2 / 12
+        trace_BN11 = covariance.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+        inverse_BN33: Tensor = torch.linalg.inv(trace_BN11 * torch.eye(3) - covariance)
         return inverse_BN33
 
 
@@ -179,8 +176,8 @@ def unpack_shapes(appearance_BNC: Tensor, rows: int, num_directions: int) -> Obj
 def _fourier_noise(num: int, count: int, harmonics: int, generator: torch.Generator) -> Tensor:
     """``num`` random periodic functions of ``count`` directions, of mean square 1."""
     angle_D = torch.arange(count) * (2 * math.pi / count)
-    phase_HD = torch.arange(1, harmonics + 1)[:, None] * angle_D
-    waves = [2**0.5 * phase_HD.cos(), 2**0.5 * phase_HD.sin()]
-    basis_CD = torch.cat([torch.ones(1, count), *waves])
+    phase_CD = torch.arange(1, harmonics + 1)[:, None] * angle_D
+    sines = 2**0.5 * phase_CD.cos(), 2**0.5 * phase_CD.sin()
+    basis_CD = torch.cat([torch.ones(1, count), *sines])
     weight_MC = torch.randn(num, len(basis_CD), generator=generator) / math.sqrt(len(basis_CD))
     return weight_MC @ basis_CD
