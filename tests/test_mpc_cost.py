@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from oes.mpc.cost import AvoidConfig, GoalCost, PlanningScene
+from oes.mpc.cost import AvoidConfig, GoalCost
 from oes.mpc.geodesic import DistanceField, GeodesicDistance
-from oes.mpc.sampler import Footprint, Rod
+from oes.mpc.scene import Footprint, PlanningScene, Rod
 from oes.mpc.search import Rollouts
 
 ROD = Rod(radius_m=0.008, tip_height_m=0.02, workspace_m=0.26)

@@ -10,15 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from oes.geom.assignment import assign
-from oes.mpc.sampler import (
-    Footprint,
-    NoFreeStart,
-    PlannerConfig,
-    PushConfig,
-    PushSampler,
-    Rod,
-    object_footprint,
-)
+from oes.mpc.sampler import NoFreeStart, PlannerConfig, PushConfig, PushSampler
+from oes.mpc.scene import Footprint, PlanningScene, Rod, object_footprint
 from oes.mpc.search import Candidates, Plan, PlanError, RiskConfig, Rollouts, search
 from oes.mpc.tracking import update_tracks
 
@@ -250,15 +243,13 @@ def _gap(
 def _sample(
     shapes: list[Footprint], cfg: PlannerConfig = SEARCH, push: PushConfig = PUSH
 ) -> Candidates:
-    return PushSampler(shapes, [], ROD, push, np.random.default_rng(0))(
-        cfg, np.zeros(len(shapes)), None
-    )
+    sampler = PushSampler(PlanningScene(shapes, [], ROD, 0.3), push, np.random.default_rng(0))
+    return sampler(cfg, np.zeros(len(shapes)), None)
 
 
 def test_pushes_head_for_the_goal_and_then_stay_near_the_elites() -> None:
-    sampler = PushSampler(
-        [_square((0.0, 0.0), 3)], [_square((0.3, 0.3), 3)], ROD, PUSH, np.random.default_rng(0)
-    )
+    scene = PlanningScene([_square((0.0, 0.0), 3)], [_square((0.3, 0.3), 3)], ROD, 0.4)
+    sampler = PushSampler(scene, PUSH, np.random.default_rng(0))
     toward = sampler(replace(SEARCH, goal_bias=1.0), np.array([0.7]), None)
     heading = torch.atan2(toward.actions_ST3[:, 0, 1], toward.actions_ST3[:, 0, 0])
     assert heading.mean() == pytest.approx(0.7, abs=0.1) and 0.1 < heading.std() < 0.25

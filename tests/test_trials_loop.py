@@ -13,7 +13,8 @@ from oes.dynamics.unroll import DynamicsModel
 from oes.episode import Camera, Floats, Frames, Step
 from oes.meshes.catalogue import Catalogue
 from oes.mpc.cost import AvoidConfig
-from oes.mpc.sampler import PlannerConfig, PushConfig, Rod
+from oes.mpc.sampler import PlannerConfig, PushConfig
+from oes.mpc.scene import Rod
 from oes.mpc.search import Candidates
 from oes.objects import Objects
 from oes.sim.pushing import PushWorld

@@ -1,8 +1,5 @@
 """Cost of a plan: remaining geodesic distance to the goals plus a collision cost."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -10,7 +7,7 @@ from torch import Tensor
 from oes.config import params
 from oes.episode import Bools, Floats
 from oes.mpc.geodesic import DistanceField, GeodesicDistance
-from oes.mpc.sampler import Footprint, Rod
+from oes.mpc.scene import PlanningScene
 from oes.mpc.search import Rollouts
 
 SAMPLES_PER_PUSH = 6  # points of each stroke of the rod that are tested for collision
@@ -24,16 +21,6 @@ class AvoidConfig:
 
     margin_m: float
     collision_cost_m: float
-
-
-@dataclass(frozen=True)
-class PlanningScene:
-    """Footprints of objects to move and of obstacles, the rod, and the table's half width."""
-
-    moved: Sequence[Footprint]
-    obstacles: Sequence[Footprint]
-    rod: Rod
-    half_m: float
 
 
 class GoalCost:

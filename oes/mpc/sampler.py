@@ -1,15 +1,12 @@
 """Candidate pushes: which object, heading, lateral offset, standoff, then turns and lengths."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from oes.config import params
 from oes.episode import Bools, Floats
+from oes.mpc.scene import Footprint, PlanningScene
 from oes.mpc.search import Candidates, PlanError
 
 
@@ -67,85 +64,33 @@ class PlannerConfig:
             )
 
 
-@dataclass(frozen=True)
-class Rod:
-    """The pusher, a vertical cylinder (metres); |x| and |y| of its tip stay <= ``workspace_m``."""
-
-    radius_m: float
-    tip_height_m: float
-    workspace_m: float
-
-
-@dataclass(frozen=True)
-class Footprint:
-    """An object's vertical projection: centres of occupied cells of side ``cell_m`` (world)."""
-
-    center_2: Floats
-    points_P2: Floats
-    cell_m: float
-
-    @property
-    def radius_m(self) -> float:
-        """Radius of the enclosing circle about the centre."""
-        return float(np.linalg.norm(self.points_P2 - self.center_2, axis=1).max() + self.cell_m / 2)
-
-
 class NoFreeStart(PlanError):
     """No sampled start of the rod is collision-free."""
 
 
-def object_footprint(
-    center_3: Floats,
-    size_3: Floats,
-    occupancy_XYZ: NDArray[np.float32],
-    voxel_m: float,
-    threshold: float,
-) -> Footprint:
-    """Footprint of a completed occupancy grid: columns with a voxel above ``threshold`` (0..1).
-
-    All heights count, as the rod is a vertical cylinder. An empty grid gives the box instead.
-    """
-    columns_XY = (occupancy_XYZ > threshold).any(axis=2)
-    if columns_XY.any():
-        cells_P2 = np.argwhere(columns_XY) + 0.5
-        points_P2 = (cells_P2 - np.array(columns_XY.shape) / 2) * voxel_m + center_3[:2]
-    else:
-        axes = [np.linspace(-s / 2, s / 2, int(np.ceil(s / voxel_m)) + 1) for s in size_3[:2]]
-        grid_XY2 = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        points_P2 = grid_XY2.reshape(-1, 2) + center_3[:2]
-    return Footprint(center_3[:2], points_P2, voxel_m)
-
-
 class PushSampler:
-    """Samples plans whose first action pushes one of ``shapes``.
+    """Samples plans whose first action pushes one of the objects to be moved.
 
-    The rod starts free of ``shapes`` and of the obstacles ``others``.
+    The rod starts free of these and of the obstacles.
     """
 
-    def __init__(
-        self,
-        shapes: Sequence[Footprint],
-        others: Sequence[Footprint],
-        rod: Rod,
-        push: PushConfig,
-        rng: np.random.Generator,
-    ) -> None:
-        self.shapes, self.others, self.rod, self.push, self.rng = shapes, others, rod, push, rng
+    def __init__(self, scene: PlanningScene, push: PushConfig, rng: np.random.Generator) -> None:
+        self.scene, self.rod, self.push, self.rng = scene, scene.rod, push, rng
 
     def __call__(
         self, cfg: PlannerConfig, headings_G: Floats, elites_SC: Tensor | None
     ) -> Candidates:
         """Up to ``cfg.num_candidates`` feasible plans, uniform or around ``elites_SC``.
 
-        ``headings_G``: direction (rad) of each shape's path to its goal. Raises NoFreeStart when no
-        sample is feasible.
+        ``headings_G``: initial direction (rad) of each object's path to its goal. Raises
+        NoFreeStart when no sample is feasible.
         """
         if elites_SC is None:
             params_SC = self._sample_uniform(cfg, headings_G)
         else:
             params_SC = self._sample_around(cfg, elites_SC.numpy())
         steps = cfg.horizon_steps
-        starts = [_start(self.shapes[int(i)], *push) for i, *push in params_SC[:, :4]]
+        starts = [_start(self.scene.moved[int(i)], *push) for i, *push in params_SC[:, :4]]
         start_S2 = np.stack(starts)
         turn_ST, length_ST = params_SC[:, 4 : 4 + steps], params_SC[:, 4 + steps :]
         angle_ST = params_SC[:, 1:2] + np.cumsum(turn_ST, axis=1)
@@ -158,7 +103,7 @@ class PushSampler:
         kept = np.flatnonzero(is_reached_S & self._is_free(start_S2))[: cfg.num_candidates]
         if not len(kept):
             raise NoFreeStart(
-                f"none of {len(params_SC)} starts beside {len(self.shapes)} objects is free"
+                f"none of {len(params_SC)} starts beside {len(self.scene.moved)} objects is free"
             )
         tips = np.column_stack([start_S2[kept], np.full(len(kept), self.rod.tip_height_m)])
         tip_S3, actions = (torch.from_numpy(a).float() for a in (tips, actions_ST3[kept]))
@@ -167,7 +112,7 @@ class PushSampler:
     def _sample_uniform(self, cfg: PlannerConfig, headings_G: Floats) -> Floats:
         """Parameters SC: object index, heading, lateral offset, standoff, T turns, T lengths."""
         count, rng = cfg.num_candidates * self.push.oversampling, self.rng
-        object_i = rng.integers(len(self.shapes), size=count)
+        object_i = rng.integers(len(self.scene.moved), size=count)
         heading = rng.uniform(-np.pi, np.pi, size=count)
         is_biased = rng.uniform(size=count) < cfg.goal_bias
         goal_heading = headings_G[object_i]
@@ -201,7 +146,7 @@ class PushSampler:
         """Starts at least the smallest clearance away from every cell of every object."""
         is_free_S = np.ones(len(start_S2), dtype=bool)
         limit_m = self.rod.radius_m + self.push.clearance_m[0] - 1e-9
-        for shape in (*self.shapes, *self.others):
+        for shape in (*self.scene.moved, *self.scene.obstacles):
             distance_SP = np.linalg.norm(start_S2[:, None] - shape.points_P2, axis=-1)
             is_free_S &= distance_SP.min(axis=1) - shape.cell_m / 2 >= limit_m
         return is_free_S
