@@ -9,7 +9,7 @@ import pytest
 
 from oes.config import load
 from oes.csv_io import write_csv
-from oes.report.rows import read_columns
+from oes.report.rows import read_rows
 from oes.schema import TRIALS
 from oes.sim.pushing import PushWorld
 from oes.trials.results import Trial, trial_rows, write_videos
@@ -50,7 +50,7 @@ def test_rows_and_videos_of_a_run(cfg: TrialsConfig, found: list[Trial], tmp_pat
     write_csv(
         tmp_path / "trials.csv", trial_rows(found, "targets", "graph_xyz", targets, videos), TRIALS
     )
-    rows = read_columns([tmp_path / "trials.csv"], TRIALS)
+    rows = read_rows([tmp_path / "trials.csv"], TRIALS)
     assert (
         rows["trial_i"].tolist() == [0, 1] * 2
         and rows["planner"].tolist() == ["shooting"] * 2 + ["cem"] * 2

@@ -58,6 +58,7 @@ class Clips:
 
 def sample_clips(clips: Clips, count: int, rng: np.random.Generator) -> Clips:
     """A batch of random clips that share one random rotation and mirroring."""
+    # One rotation for all, since rot90 turns a whole batch alike.
     index = torch.from_numpy(rng.integers(len(clips), size=count))
     return clips.at(index).rotated(int(rng.integers(4)), bool(rng.integers(2)))
 

@@ -67,7 +67,7 @@ def _reward_errors(
     net: PlaNet, clip: Clips, half_m: float, seed: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Images T3HW, errors T of the predicted distance to the goals and its changes T, in mm."""
-    torch.manual_seed(seed)
+    torch.manual_seed(seed)  # draw_goals uses the global generator
     object_BIG2, goal_1G3 = draw_goals(clip, net.cfg.max_goals, GOAL_RANGE)
     start, actions = clip.frame_BI3HW[0, 0], clip.tip_BI2.diff(dim=1)
     features, rewards = unroll_latent(net, start, goal_1G3[0], clip.tip_BI2[:, 0], actions)

@@ -44,6 +44,7 @@ def foresight_loss(changed_pixel_weight: float) -> Loss:
         tip, action = clips.tip_BI2[:, :-1].flatten(0, 1), clips.tip_BI2.diff(dim=1).flatten(0, 1)
         predicted = net(current, first, tip, action)(current, first)
         weight = _pixel_weight(target - current, changed_pixel_weight)
+        # Coarse scales reward flow in the right direction before it hits the right pixel.
         total = predicted.new_zeros(())
         for scale in range(NUM_SCALES):
             if scale:
@@ -75,6 +76,7 @@ def planet_loss(cfg: PlanetLossConfig, mean_3HW: Tensor) -> Loss:
             state = LatentState(recurrent, posterior.rsample())
             features.append(state.features())
             divergence_B = kl_divergence(posterior, prior).sum(-1)
+            # Free nats: no gradient pushes the posterior onto the prior below this level.
             divergences.append(divergence_B.clamp(min=cfg.free_nats))
         features_BIC = torch.stack(features, 1)
         weight = _pixel_weight(frame - mean_3HW, cfg.changed_pixel_weight)

@@ -31,6 +31,7 @@ class OverheadCamera:
 
     def __init__(self, cfg: OverheadView) -> None:
         self.cfg = cfg
+        # The field of view is set at table height, where the objects are.
         fov_deg = float(np.degrees(2 * np.arctan2(cfg.half_m, cfg.height_m)))
         pose = rigid(DOWNWARD, np.array([0.0, 0.0, cfg.height_m]))
         side = cfg.side_px

@@ -48,10 +48,7 @@ class LatentState:
 
 
 class PlaNet(nn.Module):
-    """Recurrent state-space model.
-
-    Goals are BG3: x, y (normalised image coordinates) and 1 for a goal that exists, else 0.
-    """
+    """Recurrent state-space model; a goal is x, y (normalised) and whether it exists (1 or 0)."""
 
     def __init__(self, cfg: PlanetConfig) -> None:
         super().__init__()
@@ -59,9 +56,8 @@ class PlaNet(nn.Module):
         base, hidden, goals = cfg.base_channels, cfg.hidden_dim, 3 * cfg.max_goals
         stochastic, recurrent = cfg.stochastic_dim, cfg.recurrent_dim
         widths = (3, base, 2 * base, 4 * base, 8 * base)
-        convs = [
-            nn.Sequential(nn.Conv2d(i, o, 4, 2), nn.ReLU()) for i, o in itertools.pairwise(widths)
-        ]
+        pairs = itertools.pairwise(widths)
+        convs = [nn.Sequential(nn.Conv2d(i, o, 4, 2), nn.ReLU()) for i, o in pairs]
         self.encoder = nn.Sequential(*convs, nn.Flatten())
         self.embedding = nn.Linear(32 * base, hidden)
         self.gru_input = nn.Linear(stochastic + ACTION_DIM, hidden)
@@ -69,15 +65,12 @@ class PlaNet(nn.Module):
         self.prior_head = _mlp(recurrent, hidden, 2 * stochastic)
         self.posterior_head = _mlp(recurrent + hidden + goals, hidden, 2 * stochastic)
         self.decoder_input = nn.Linear(recurrent + stochastic, 32 * base)
-        self.decoder = nn.Sequential(
-            nn.ConvTranspose2d(32 * base, 4 * base, 5, 2),
-            nn.ReLU(),
-            nn.ConvTranspose2d(4 * base, 2 * base, 5, 2),
-            nn.ReLU(),
-            nn.ConvTranspose2d(2 * base, base, 6, 2),
-            nn.ReLU(),
-            nn.ConvTranspose2d(base, 3, 6, 2),
-        )
+        # Kernels of 5, 5, 6 and 6 with stride 2 take 1 pixel to the 64 of the images.
+        widths, sizes = (32 * base, 4 * base, 2 * base, base, 3), (5, 5, 6, 6)
+        layers: list[nn.Module] = []
+        for (i, o), size in zip(itertools.pairwise(widths), sizes, strict=True):
+            layers += [nn.ConvTranspose2d(i, o, size, 2), nn.ReLU()]
+        self.decoder = nn.Sequential(*layers[:-1])
         self.reward_head = _mlp(recurrent + stochastic + goals, hidden, 1)
 
     def encode(self, frame_B3HW: Tensor) -> Tensor:
@@ -102,8 +95,8 @@ class PlaNet(nn.Module):
 
     def decode(self, features_BC: Tensor) -> Tensor:
         """Reconstructed image B3HW, about 0 to 1."""
-        image: Tensor = self.decoder(self.decoder_input(features_BC)[..., None, None]) + 0.5
-        return image
+        image: Tensor = self.decoder(self.decoder_input(features_BC)[..., None, None])
+        return image + 0.5
 
     def rewards(self, features_BC: Tensor, goal_BG3: Tensor) -> Tensor:
         """Minus the mean distance to the goals: B, or any other leading dimensions."""
@@ -149,10 +142,5 @@ def _normal(outputs_BC: Tensor) -> Normal:
 
 
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Linear(inputs, hidden),
-        nn.ReLU(),
-        nn.Linear(hidden, hidden),
-        nn.ReLU(),
-        nn.Linear(hidden, outputs),
-    )
+    first, second = nn.Linear(inputs, hidden), nn.Linear(hidden, hidden)
+    return nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), nn.Linear(hidden, outputs))

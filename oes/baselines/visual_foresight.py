@@ -63,11 +63,10 @@ class VisualForesight(nn.Module):
         super().__init__()
         self.cfg = cfg
         widths = cfg.channels
-        inputs = (6, *widths[:-1])
-        self.down = nn.ModuleList(
-            _conv(i + PUSH_CHANNELS, o) for i, o in zip(inputs, widths, strict=True)
-        )
-        pairs = list(zip(widths[:0:-1], widths[-2::-1], strict=True))
+        inputs = (6, *widths[:-1])  # current and first image
+        pairs = zip(inputs, widths, strict=True)
+        self.down = nn.ModuleList(_conv(i + PUSH_CHANNELS, o) for i, o in pairs)
+        pairs = zip(widths[:0:-1], widths[-2::-1], strict=True)
         self.up = nn.ModuleList(_conv(i + o + PUSH_CHANNELS, o) for i, o in pairs)
         self.out = nn.Conv2d(widths[0], 3 * cfg.num_flows + 2, 3, padding=1)
 
@@ -79,6 +78,7 @@ class VisualForesight(nn.Module):
         skips: list[Tensor] = []
         for i, layer in enumerate(self.down):
             x = x if i == 0 else F.avg_pool2d(x, 2)
+            # The push enters at every resolution, since all of them predict its motion.
             x = layer(torch.cat([x, _push_maps(tip_B2, action_B2, x)], 1))
             skips.append(x)
         for i, layer in enumerate(self.up):

@@ -14,7 +14,7 @@ from oes.episode import SEG_FIRST_OBJECT, SEG_ROBOT, Bools, Camera, Episode, Flo
 from oes.evaluation.forecasters import to_gt_objects, true_forecast
 from oes.geom.voxels import Grid, centers
 from oes.metrics.errors import rotation_deg, translation_mm
-from oes.perception.evaluate import match_detections, picture_quality
+from oes.perception.evaluate import match_detections, rgb_quality
 from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
 from oes.render.renderer import Renderer
@@ -65,7 +65,7 @@ class FutureEvaluator:
             for name, motion in motions.items()
         }
         for name, (near, far) in {**fields, ENCODED: encoded}.items():
-            rendered = self.perceiver.look(near, far, cameras)
+            rendered = self.perceiver.render_fields(near, far, cameras)
             error = (visible_features(near)[:, in_box_XYZ] - true_features).norm()
             yield {
                 **self._keys(T, name),
@@ -79,7 +79,7 @@ class FutureEvaluator:
         """Detections of each composed object in one rendered view at a time."""
         poses = motion.poses(self.scenario.poses, T)
         _, cameras = self.source.read(self.episode_i, T, self.query_is)
-        frames = self.perceiver.look(compose(scene, poses), scene.far_field, cameras)
+        frames = self.perceiver.render_fields(compose(scene, poses), scene.far_field, cameras)
         center_N3 = (scene.center_N3[poses.source_N] + poses.translation_N3).double().numpy()
         yield from self._detection_rows(T, name, frames, cameras, center_N3)
 
@@ -121,7 +121,7 @@ def _mean_distance_mm(pairs: Sequence[tuple[Floats, ...]]) -> float | None:
 
 def _image_errors(image: Frames, true: Frames, is_object_VHW: Bools) -> FutureRow:
     """Means over views of ``psnr_db`` and ``ssim``; ``objects_psnr_db`` over pixels of objects."""
-    views = [picture_quality(a, b) for a, b in zip(image.rgb_VHW3, true.rgb_VHW3, strict=True)]
+    views = [rgb_quality(a, b) for a, b in zip(image.rgb_VHW3, true.rgb_VHW3, strict=True)]
     row: FutureRow = {
         name: round(float(np.mean([view[name] for view in views])), 4) for name in views[0]
     }

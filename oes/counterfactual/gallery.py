@@ -49,7 +49,7 @@ class FutureRenderer:
         images = []
         for T, tip_3 in enumerate(episode.steps[0].tip_world_3 + moved_I3):
             near = compose(self.scene, motion.poses(future.scenario.poses, T))
-            frames = self.perceiver.look(near, self.scene.far_field, [camera])
+            frames = self.perceiver.render_fields(near, self.scene.far_field, [camera])
             image = CameraOverlay(frames.rgb_VHW3[0], camera, 1)
             if np.isfinite(tip_3).all():
                 image.line(np.stack([tip_3, tip_3 + np.array([0.0, 0.0, ROD_M])]), PUSH)
@@ -113,7 +113,7 @@ def write_predictions(
     rows: LabelledRows = [("photographs", list(frames.rgb_VHW3))]
     for count, label in ((1, "from one view"), (3, "from three views")):
         features = perceiver.encode(*source.read(episode_i, 0, inputs[:count]))
-        predicted = perceiver.look(*perceiver.fields(features), cameras)
+        predicted = perceiver.render_fields(*perceiver.fields(features), cameras)
         rows.append((label, list(predicted.rgb_VHW3)))
     _save(path, rows)
 

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from oes.config import params
 from oes.episode import Camera, Floats, Frames
-from oes.mpc.cost import AvoidConfig, GoalCost, PlanningScene
-from oes.mpc.sampler import PlannerConfig, PushConfig, PushSampler, Rod, object_footprint
-from oes.mpc.search import Plan, RiskConfig, search
+from oes.mpc.cost import AvoidConfig, GoalCost
+from oes.mpc.sampler import PlannerConfig, PushConfig, PushSampler
+from oes.mpc.scene import PlanningScene, Rod, object_footprint
+from oes.mpc.search import Candidates, Plan, RiskConfig, Rollouts, search
 from oes.mpc.tracking import update_tracks
 from oes.objects import Objects
 from oes.trials.world_models import StateEstimate, WorldModel
@@ -74,21 +75,19 @@ class Perception(Protocol[SceneT]):
         """The objects in given boxes, unbatched."""
 
 
+@dataclass
 class Planner(Generic[SceneT]):
-    """Perception, tracking, world model and search."""
+    """Perception, tracking, world model and search.
 
-    def __init__(
-        self,
-        perception: Perception[SceneT],
-        voxel_m: float,
-        world_model: WorldModel,
-        rod: Rod,
-        half_m: float,
-        cfg: PlanningConfig,
-    ) -> None:
-        """``voxel_m``: voxel side of the object crops; ``half_m``: half width of the table."""
-        self.perception, self.voxel_m, self.world_model = perception, voxel_m, world_model
-        self.rod, self.half_m, self.cfg = rod, half_m, cfg
+    ``voxel_m``: voxel side of the object crops; ``half_m``: half width of the table.
+    """
+
+    perception: Perception[SceneT]
+    voxel_m: float
+    world_model: WorldModel
+    rod: Rod
+    half_m: float
+    cfg: PlanningConfig
 
     def perceive(
         self, observation: CameraObservation, center_N3: Floats, size_N3: Floats
@@ -96,17 +95,12 @@ class Planner(Generic[SceneT]):
         """Update predicted box centres and sizes with the detections of an observation."""
         frames, cameras = observation.frames, [observation.camera]
         scene = self.perception.encode(frames, cameras)
-        detected_center_P3, detected_size_P3, _ = (
-            values.double().cpu().numpy() for values in self.perception.detect(scene)
-        )
-        center_N3, size_N3, is_detected_N = update_tracks(
-            center_N3, size_N3, detected_center_P3, detected_size_P3, self.cfg.track.gate_m
-        )
-        center, size, score = (
-            torch.from_numpy(x).float() for x in (center_N3, size_N3, is_detected_N)
-        )
+        center_P3, size_P3, _ = (x.double().cpu().numpy() for x in self.perception.detect(scene))
+        gate_m = self.cfg.track.gate_m
+        tracks = update_tracks(center_N3, size_N3, center_P3, size_P3, gate_m)
+        center, size, score = (torch.from_numpy(x).float() for x in tracks)
         objects = self.perception.objects(scene, center, size, score, frames, cameras)
-        return StateEstimate(objects, center_N3, size_N3, is_detected_N, observation.overhead_HW3)
+        return StateEstimate(objects, *tracks, observation.overhead_HW3)
 
     def plan(
         self, estimate: StateEstimate, goal_G3: Floats, cfg: PlannerConfig, rng: np.random.Generator
@@ -115,22 +109,20 @@ class Planner(Generic[SceneT]):
 
         The other objects are obstacles. Raises PlanError if no plan is feasible.
         """
-        cost = GoalCost(self._planning_scene(estimate, len(goal_G3)), goal_G3, self.cfg.avoid)
-        scene, headings_G = cost.scene, cost.headings()
-        sampler = PushSampler(scene.moved, scene.obstacles, self.rod, self.cfg.push, rng)
+        scene = self._planning_scene(estimate, len(goal_G3))
+        cost = GoalCost(scene, goal_G3, self.cfg.avoid)
+        sampler, headings_G = PushSampler(scene, self.cfg.push, rng), cost.headings()
         risk = None
         if self.world_model.is_stochastic and cfg.num_samples > 1:
             risk = RiskConfig(cfg.num_reranked, cfg.num_samples, self.cfg.risk_weight)
-        plan = search(
-            lambda elites_SC: sampler(cfg, headings_G, elites_SC),
-            lambda candidates, num_samples: self.world_model.predict(
-                estimate, goal_G3, candidates, num_samples
-            ),
-            cost,
-            cfg.iterations,
-            cfg.num_elites,
-            risk,
-        )
+
+        def propose(elites_SC: Tensor | None) -> Candidates:
+            return sampler(cfg, headings_G, elites_SC)
+
+        def unroll(candidates: Candidates, num_samples: int) -> Rollouts:
+            return self.world_model.predict(estimate, goal_G3, candidates, num_samples)
+
+        plan = search(propose, unroll, cost, cfg.iterations, cfg.num_elites, risk)
         # Image-based models predict costs on a scale of their own, without one for no motion.
         has_own_cost = self.world_model.view is not None
         return plan if has_own_cost or plan.cost < cost.initial() else None

@@ -17,7 +17,7 @@ from oes.baselines.overhead_render import OverheadRenderer
 from oes.config import Shared, params
 from oes.episode import Body, Camera, Step
 from oes.meshes.catalogue import Catalogue, load_catalogue
-from oes.mpc.sampler import Rod
+from oes.mpc.scene import Rod
 from oes.perception.network import SceneFeatures
 from oes.perception.perceiver import Perceiver
 from oes.progress import resumable_map
@@ -142,11 +142,10 @@ class CameraSensor:
         bodies: Sequence[Body],
         view: OverheadView | None = None,
     ) -> None:
-        table_m = np.array(sim.physics.table_size_m)
-        self._renderer = Renderer(scene_meshes(table_m, robot_shape(sim.robot), bodies, catalogue))
-        self._overhead = view and OverheadRenderer(
-            catalogue, sim.physics.table_size_m, bodies, view
-        )
+        table_m = sim.physics.table_size_m
+        meshes = scene_meshes(np.array(table_m), robot_shape(sim.robot), bodies, catalogue)
+        self._renderer = Renderer(meshes)
+        self._overhead = view and OverheadRenderer(catalogue, table_m, bodies, view)
 
     def __call__(self, state: Step, camera: Camera) -> CameraObservation:
         frames = self._renderer.render(mesh_poses(state), [camera])

@@ -1,6 +1,5 @@
 """Video of a trial: every observation with the estimated boxes, then the plan and its forecast."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,7 @@ UNDETECTED = (150, 150, 150)  # colour of boxes without a detection
 
 @params
 class VideoConfig:
-    """``zoom``: enlargement of the images. Then seconds that each observation, each plan and the
-    last observation stay on screen.
-    """
+    """``zoom``: enlargement; ``*_s``: display time of an observation, a plan, the last image."""
 
     zoom: int
     fps: int
@@ -41,26 +38,20 @@ def write_trial_video(
 
     Goals are rings of radius ``success_m``.
     """
-    shots = list(_shots(result, goal_G3, verdict, success_m, cfg))
-    frames = (pixels for pixels, seconds in shots for _ in range(round(seconds * cfg.fps)))
-    write_video(frames, path, cfg.fps)
-    write_gif(shots, path.with_suffix(".gif"))
-
-
-def _shots(
-    result: TrialResult, goal_G3: Floats, verdict: str, success_m: float, cfg: VideoConfig
-) -> Iterator[tuple[NDArray[np.uint8], float]]:
-    """Images and their durations (s)."""
+    shots: list[tuple[NDArray[np.uint8], float]] = []  # images and seconds
     for step_i, record in enumerate(result.steps):
         is_last = step_i + 1 == len(result.steps)
         observed = observed_image(record, goal_G3, success_m, cfg.zoom)
         observed.label(verdict if is_last else f"push {step_i + 1}: sees")
-        yield observed.pixels, cfg.end_s if is_last else cfg.observation_s
+        shots.append((observed.pixels, cfg.end_s if is_last else cfg.observation_s))
         if record.plan is not None:
             planned = observed_image(record, goal_G3, success_m, cfg.zoom)
             _draw_plan(planned, record, record.plan, len(goal_G3))
             planned.label(f"push {step_i + 1}: plans")
-            yield planned.pixels, cfg.plan_s
+            shots.append((planned.pixels, cfg.plan_s))
+    frames = (pixels for pixels, seconds in shots for _ in range(round(seconds * cfg.fps)))
+    write_video(frames, path, cfg.fps)
+    write_gif(shots, path.with_suffix(".gif"))
 
 
 def observed_image(
