@@ -1,7 +1,7 @@
 """Objects of a scene as perception describes them to dynamics."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import Any, TypeVar
 
 import torch
@@ -17,13 +17,17 @@ TensorFields = TypeVar("TensorFields")
 def map_tensors(x: TensorFields, fn: Callable[..., Tensor], *others: TensorFields) -> TensorFields:
     """Copy of dataclass ``x`` with every tensor field replaced by ``fn(field, *fields of others)``.
 
-    ``map_tensors(a, lambda *t: torch.cat(t), b)`` concatenates two batches. None stays None.
+    ``map_tensors(a, lambda *t: torch.cat(t), b)`` concatenates two batches. Fields that are
+    dataclasses are copied alike; None stays None.
     """
-    fields: dict[str, Any] = {
-        name: None if value is None else fn(value, *(getattr(other, name) for other in others))
-        for name, value in vars(x).items()
-    }
-    return type(x)(**fields)
+
+    def mapped(*values: Any) -> Any:
+        if values[0] is None:
+            return None
+        return map_tensors(values[0], fn, *values[1:]) if is_dataclass(values[0]) else fn(*values)
+
+    columns = {name: [getattr(each, name) for each in (x, *others)] for name in vars(x)}
+    return type(x)(**{name: mapped(*values) for name, values in columns.items()})
 
 
 @dataclass(frozen=True)

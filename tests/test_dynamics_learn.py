@@ -95,18 +95,18 @@ def scenes() -> Scenes:
 
 
 def test_examples_hold_the_true_motion_of_the_perceived_point(scenes: Scenes) -> None:
-    seen, data = training_examples(OES, CFG, scenes, scenes.episodes)
-    assert seen == INPUTS
-    assert data.objects.crop_NCXYZ.shape == (12, 2, 2, 16, 16, 16)
-    assert data.objects.image_NV3HW.shape[-1] == 1
+    inputs, data = training_examples(OES, CFG, scenes, scenes.episodes)
+    assert inputs == INPUTS
+    assert data.all.objects.crop_NCXYZ.shape == (12, 2, 2, 16, 16, 16)
+    assert data.all.objects.image_NV3HW.shape[-1] == 1
     episode: Episode = scenes.episodes[1]
     body_T_world = np.linalg.inv(episode.steps[0].world_T_obj_N44[1])
-    center = data.objects.center_N3[1, 1].double().numpy()
+    center = data.all.objects.center_N3[1, 1].double().numpy()
     at_body = transform(body_T_world, center[None])
     for t, step in enumerate(episode.steps[1:]):
         expected = transform(step.world_T_obj_N44[1], at_body)[0] - center
-        np.testing.assert_allclose(data.translation_UTN3[1, t, 1], expected, atol=1e-5)
-    assert not data.objects.valid_N[0, 1]
+        np.testing.assert_allclose(data.all.translation_BTN3[1, t, 1], expected, atol=1e-5)
+    assert not data.all.objects.valid_N[0, 1]
 
 
 def test_no_episode_is_in_training_and_validation(scenes: Scenes) -> None:
@@ -122,7 +122,7 @@ def test_no_episode_is_in_training_and_validation(scenes: Scenes) -> None:
 
 def test_the_fixed_camera_has_observations_of_its_own(scenes: Scenes) -> None:
     _, data = training_examples(GraphXYZImageFixed, CFG, scenes, scenes.episodes)
-    assert len(data.tip_U3) == 6
+    assert len(data.all.tip_B3) == 6
     with pytest.raises(ValueError, match="fixed"):
         training_examples(
             GraphXYZImageFixed,

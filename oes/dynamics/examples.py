@@ -1,7 +1,7 @@
 """Training examples: perceived objects of an episode's first frame and their true motion."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,29 +17,18 @@ Perceived = tuple[Objects, Sequence[int], int]
 
 @dataclass(frozen=True)
 class Examples:
-    """U observations (episodes seen from some views) and their futures; all in memory.
+    """U observations (episodes seen from some views) and their futures as one batch, in memory.
 
-    ``objects`` carry a leading U. ``episode_U``: index of the observation's episode in its split;
-    ``voxel_m``: voxel size of the crops.
+    ``episode_U``: index of the observation's episode in its split.
     """
 
-    objects: Objects
-    tip_U3: Tensor
-    actions_UT3: Tensor
-    translation_UTN3: Tensor
-    rotation_UTN33: Tensor
+    all: DynamicsBatch
     episode_U: Tensor
-    voxel_m: float
 
     def batch(self, i_B: Tensor) -> DynamicsBatch:
         """The chosen observations in float32."""
-        return DynamicsBatch(
-            objects=map_tensors(self.objects, lambda x_U: x_U[i_B]).to(torch.float32),
-            tip_B3=self.tip_U3[i_B],
-            actions_BT3=self.actions_UT3[i_B],
-            translation_BTN3=self.translation_UTN3[i_B],
-            rotation_BTN33=self.rotation_UTN33[i_B],
-        )
+        batch = map_tensors(self.all, lambda x_U: x_U[i_B])
+        return replace(batch, objects=batch.objects.to(torch.float32))
 
     def split(self, validation_share: float) -> tuple[Tensor, Tensor]:
         """Indices of training and of validation observations; no episode is in both."""
@@ -52,9 +41,7 @@ class Examples:
         return (~validation_U).nonzero()[:, 0], validation_U.nonzero()[:, 0]
 
 
-def make_examples(
-    perceived: Sequence[Perceived], episodes: Mapping[int, Episode], voxel_m: float
-) -> Examples:
+def make_examples(perceived: Sequence[Perceived], episodes: Mapping[int, Episode]) -> Examples:
     """Join observations, all of whose objects have a true one, with their episodes."""
     most = max(len(truth) for _, truth, _ in perceived)
     recorded = [episodes[episode_i] for *_, episode_i in perceived]
@@ -62,15 +49,14 @@ def make_examples(
         _future(episode, objects, truth, most)
         for episode, (objects, truth, _) in zip(recorded, perceived, strict=True)
     ]
-    return Examples(
+    batch = DynamicsBatch(
         objects=stack([padded(objects, most) for objects, *_ in perceived]),
-        tip_U3=_tensor([episode.steps[0].tip_world_3 for episode in recorded]),
-        actions_UT3=_tensor([episode.actions_T3 for episode in recorded]),
-        translation_UTN3=_tensor([translation_TN3 for translation_TN3, _ in futures]),
-        rotation_UTN33=_tensor([rotation_TN33 for _, rotation_TN33 in futures]),
-        episode_U=torch.tensor([episode_i for *_, episode_i in perceived]),
-        voxel_m=voxel_m,
+        tip_B3=_tensor([episode.steps[0].tip_world_3 for episode in recorded]),
+        actions_BT3=_tensor([episode.actions_T3 for episode in recorded]),
+        translation_BTN3=_tensor([translation_TN3 for translation_TN3, _ in futures]),
+        rotation_BTN33=_tensor([rotation_TN33 for _, rotation_TN33 in futures]),
     )
+    return Examples(batch, torch.tensor([episode_i for *_, episode_i in perceived]))
 
 
 def true_motion(steps: Sequence[Step], object_i: int, center_3: Floats) -> tuple[Floats, Floats]:

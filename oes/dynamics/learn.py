@@ -28,13 +28,13 @@ class ModelNameError(ValueError):
 class Scenes(Protocol):
     """Part of ``oes.perception.objects_file.ObjectStore`` that training needs."""
 
-    def draws(self, setting: str) -> list[int]:
+    def observations(self, setting: str) -> list[int]:
         """Indices of the observations of one setting."""
 
-    def episode(self, draw_i: int) -> int:
+    def episode(self, observation_i: int) -> int:
         """Index of the observation's episode."""
 
-    def scene(self, draw_i: int) -> tuple[Objects, Tensor]:
+    def scene(self, observation_i: int) -> tuple[Objects, Tensor]:
         """Objects of the observation and the true object of each (-1: none)."""
 
     def with_gt_surfaces(self) -> "Scenes":
@@ -108,7 +108,7 @@ def training_examples(
     perceived = [
         (objects, truth.tolist(), scenes.episode(i))
         for setting in settings[kind.CAMERAS]
-        for i in scenes.draws(setting)
+        for i in scenes.observations(setting)
         if scenes.episode(i) in episodes
         for objects, truth in [scenes.scene(i)]
         if len(truth)
@@ -125,7 +125,7 @@ def training_examples(
         profile_directions=first.radial_profile_NRD3.shape[2],
     )
     needed = [(_needed(kind, cfg, objects), truth, i) for objects, truth, i in perceived]
-    return inputs, make_examples(needed, episodes, cfg.voxel_m)
+    return inputs, make_examples(needed, episodes)
 
 
 def _needed(kind: type[GraphModel], cfg: TaskConfig, objects: Objects) -> Objects:

@@ -82,7 +82,7 @@ def train_dynamics(
     def batch_at(step: int) -> DynamicsBatch:
         generator = torch.Generator().manual_seed(fit_cfg.seed * 1_000_003 + step)
         i_B = torch.randint(len(train_U), (fit_cfg.batch,), generator=generator)
-        return augment(examples.batch(train_U[i_B]), cfg.augment, examples.voxel_m, generator)
+        return augment(examples.batch(train_U[i_B]), cfg.augment, cfg.voxel_m, generator)
 
     def loss(learner: nn.Module, batch: DynamicsBatch) -> Mapping[str, Tensor]:
         model = cast(DynamicsModel, learner)
