@@ -82,11 +82,11 @@ class Gaussian:
         self.count, self.generator = count, torch.Generator().manual_seed(seed)
 
     def __call__(self, elites_SC: Tensor | None) -> Candidates:
-        drawn = torch.randn(self.count, 3, generator=self.generator)
+        sampled = torch.randn(self.count, 3, generator=self.generator)
         if elites_SC is not None:
-            drawn = elites_SC.mean(0) + elites_SC.std(0) * drawn
+            sampled = elites_SC.mean(0) + elites_SC.std(0) * sampled
         actions = torch.zeros(self.count, 3, 3)
-        actions[..., 0] = drawn.clamp(-1, 1)
+        actions[..., 0] = sampled.clamp(-1, 1)
         return _given(actions)
 
 
@@ -196,10 +196,10 @@ def test_an_uncertain_plan_costs_more_the_larger_the_risk_weight() -> None:
 
 
 def test_only_the_cheapest_plans_are_reranked_and_only_up_to_their_cheapest_step() -> None:
-    seen: list[tuple[Candidates, int]] = []
+    calls: list[tuple[Candidates, int]] = []
 
     def unroll(candidates: Candidates, num_samples: int) -> Rollouts:
-        seen.append((candidates, num_samples))
+        calls.append((candidates, num_samples))
         return _windy(candidates, num_samples)
 
     actions = torch.zeros(20, 3, 3)
@@ -212,12 +212,12 @@ def test_only_the_cheapest_plans_are_reranked_and_only_up_to_their_cheapest_step
         2,
         RiskConfig(3, 4, 0.5),
     )
-    assert [(len(candidates.tip_S3), num_samples) for candidates, num_samples in seen] == [
+    assert [(len(candidates.tip_S3), num_samples) for candidates, num_samples in calls] == [
         (20, 1),
         (3, 4),
     ]
-    again_ST = seen[1][0].actions_ST3[..., 0]
-    assert again_ST[:, 1].tolist() == [0.5, 0.5, 0.5] and (again_ST[:, 0] >= 0.4).all(), (
+    reranked_ST = calls[1][0].actions_ST3[..., 0]
+    assert reranked_ST[:, 1].tolist() == [0.5, 0.5, 0.5] and (reranked_ST[:, 0] >= 0.4).all(), (
         "two of the three actions"
     )
     assert best.actions_T3[:, 0].tolist() == [1.0], "later steps are not rolled out again"
@@ -315,18 +315,18 @@ def test_no_free_start_is_an_error() -> None:
 
 def test_assignment_is_joint_gated_and_one_to_one() -> None:
     expected = np.array([[0.0, 0, 0], [0.05, 0, 0]])
-    seen = np.array([[0.04, 0, 0], [0.3, 0, 0], [-0.02, 0, 0]])
-    assert assign(expected, seen, 0.06).tolist() == [2, 0]
-    assert assign(expected, seen[1:2], 0.06).tolist() == [-1, -1]
+    detected = np.array([[0.04, 0, 0], [0.3, 0, 0], [-0.02, 0, 0]])
+    assert assign(expected, detected, 0.06).tolist() == [2, 0]
+    assert assign(expected, detected[1:2], 0.06).tolist() == [-1, -1]
     assert assign(expected, np.zeros((0, 3)), 0.06).tolist() == [-1, -1]
     assert assign(expected, np.array([[0.03, 0.0, 0.0]]), 0.06).tolist() == [-1, 0]
 
 
-def test_an_unseen_object_keeps_its_estimate() -> None:
+def test_an_undetected_object_keeps_its_estimate() -> None:
     center, size = np.array([[0.0, 0, 0], [0.2, 0, 0]]), np.full((2, 3), 0.05)
-    new_center, new_size, seen = update_tracks(
+    new_center, new_size, is_detected = update_tracks(
         center, size, np.array([[0.21, 0, 0]]), np.full((1, 3), 0.07), 0.06
     )
-    assert seen.tolist() == [False, True]
+    assert is_detected.tolist() == [False, True]
     assert new_center[:, 0].tolist() == [0.0, 0.21] and new_size[:, 0].tolist() == [0.05, 0.07]
     assert center[1, 0] == 0.2, "the caller's arrays are not changed"

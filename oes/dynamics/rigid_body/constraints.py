@@ -11,21 +11,21 @@ from oes.episode import Floats, Ints
 from oes.jit import jit
 
 STEEP = 0.7  # a normal with a larger |z| takes its first tangent from the x axis, not the z axis
-STATIC = -1  # index of the table and of the rod, which impulses do not move
+KINEMATIC = -1  # index of table and rod: impulses do not move them
 GAP, FRICTION, INV_MASS = 0, 1, 2  # columns of ContactRows.scalar_P4
 
 
 class ContactRows(NamedTuple):
     """P contacts of one scene, each with three rows: the normal and two tangents (world axes).
 
-    body_P2         indices of the two bodies; the second may be ``STATIC``
-    scalar_P4       gap, friction coefficient, inverse masses of both bodies (0 for ``STATIC``)
+    body_P2         indices of the two bodies; the second may be ``KINEMATIC``
+    scalar_P4       gap, friction coefficient, inverse masses of both bodies (0 for ``KINEMATIC``)
     axis_P33        normal towards the first body, tangents
     arm_P23         contact point from the centre of mass of either body
     angular_P233    angular Jacobian: torque on either body by a unit impulse along each row
     response_P233   angular velocity that this torque causes
     inv_effective_mass_P3   velocity along each row caused by a unit impulse along it
-    velocity_P2     velocity of a ``STATIC`` second body (x, y)
+    velocity_P2     velocity of a ``KINEMATIC`` second body (x, y)
     spin_P4         angular velocity (3) and its normal component by a unit torque about the normal
     """
 
@@ -41,7 +41,7 @@ class ContactRows(NamedTuple):
 
 
 def empty_rows(num: int) -> ContactRows:
-    """Rows for the most contacts that ``num`` bodies can have, with garbage in them."""
+    """Rows for the most contacts that ``num`` bodies can have, uninitialized."""
     most = num * (2 * MAX_POINTS + num)
     shapes = (4,), (3, 3), (2, 3), (2, 3, 3), (2, 3, 3), (3,), (2,), (4,)
     return ContactRows(np.empty((most, 2), np.int64), *(np.empty((most, *x)) for x in shapes))
@@ -62,7 +62,7 @@ def world_inverse_inertia(
 
 
 @jit
-def add_static_contacts(
+def add_kinematic_contacts(
     rows: ContactRows, count: int, manifold: Manifold, b: int, n: int, rotation_33: Floats
 ) -> int:
     """Append a body's contacts with table or rod; the new number of contacts."""
@@ -74,7 +74,7 @@ def add_static_contacts(
         rows.scalar_P4[count, GAP] = manifold.gap_BN4[b, n, c]
         rows.scalar_P4[count, FRICTION] = manifold.friction_BN[b, n]
         rows.velocity_P2[count] = manifold.velocity_B2[b]
-        rows.body_P2[count, 0], rows.body_P2[count, 1] = n, STATIC
+        rows.body_P2[count, 0], rows.body_P2[count, 1] = n, KINEMATIC
         count += 1
     return count
 
@@ -111,11 +111,11 @@ def prepare_rows(rows: ContactRows, p: int, inverse_N33: Floats, mass_N: Floats)
     axis_33[2, 0], axis_33[2, 1], axis_33[2, 2] = cross(axis_33[0], axis_33[1])
     for side in range(2):
         n = rows.body_P2[p, side]
-        rows.scalar_P4[p, INV_MASS + side] = 0.0 if n == STATIC else 1 / mass_N[n]
-        if n != STATIC:
+        rows.scalar_P4[p, INV_MASS + side] = 0.0 if n == KINEMATIC else 1 / mass_N[n]
+        if n != KINEMATIC:
             _prepare_side(rows, p, side, inverse_N33[n])
     # Only table and rod resist spinning: bodies touch each other along a line, not on a patch.
-    if rows.body_P2[p, 1] == STATIC:
+    if rows.body_P2[p, 1] == KINEMATIC:
         n, total = rows.body_P2[p, 0], 0.0
         for i in range(3):
             rate = 0.0

@@ -1,4 +1,4 @@
-"""Persistent contact manifolds between each body and one other thing (the table or the rod).
+"""Persistent contact manifolds between each body and a kinematic one (the table or the rod).
 
 As in Bullet, every substep adds only the deepest point, a manifold holds at most four points, and a
 point is dropped once its two sides separate, or slide apart, by more than the breaking distance. A
@@ -19,14 +19,14 @@ MAX_POINTS = 4
 
 
 class Manifold(NamedTuple):
-    """Contact points of N bodies of B scenes with one other thing (metres).
+    """Contact points of N bodies of B scenes with one kinematic body (metres).
 
     point_BN43   on the body, body axes, from its centre of mass
-    anchor_BN43  on the other thing, world axes, from its origin
+    anchor_BN43  on the kinematic body, world axes, from its origin
     normal_BN43  unit normal towards the body, world axes
     gap_BN4      signed distance along the normal
     count_BN     number of points in use
-    origin_B3, velocity_B2   position and velocity of the other thing
+    origin_B3, velocity_B2   position and velocity of the kinematic body
     friction_BN, breaking_BN   friction coefficient and breaking distance
     """
 
@@ -71,8 +71,8 @@ def update_manifold(manifold: Manifold, contact_BN7: Floats, state: State) -> No
 
 @jit
 def _slot(manifold: Manifold, b: int, n: int, point_3: Floats) -> int:
-    """Where a new point goes: over one within the breaking distance, a free slot, or over the one
-    whose loss keeps the manifold largest.
+    """Slot of a new point: of the nearest point within the breaking distance, else a free one, else
+    of the point whose replacement leaves the largest contact area.
     """
     point_43, count = manifold.point_BN43[b, n], manifold.count_BN[b, n]
     slot, least = -1, manifold.breaking_BN[b, n] * manifold.breaking_BN[b, n]

@@ -9,10 +9,10 @@ from oes.dynamics.rigid_body.constraints import (
     FRICTION,
     GAP,
     INV_MASS,
-    STATIC,
+    KINEMATIC,
     ContactRows,
+    add_kinematic_contacts,
     add_pair_contacts,
-    add_static_contacts,
     prepare_rows,
     world_inverse_inertia,
 )
@@ -48,8 +48,8 @@ def solve_contacts(
             if is_active_BN[b, n]:
                 R_33, mass = state.rotation_BN33[b, n], bodies.mass_BN[b, n]
                 world_inverse_inertia(R_33, bodies.inverse_inertia_BN33[b, n], mass, inverse_N33[n])
-                count = add_static_contacts(rows, count, table, b, n, R_33)
-                count = add_static_contacts(rows, count, rod, b, n, R_33)
+                count = add_kinematic_contacts(rows, count, table, b, n, R_33)
+                count = add_kinematic_contacts(rows, count, rod, b, n, R_33)
                 friction = bodies.pair_friction_BN[b, n]
                 count = add_pair_contacts(rows, count, n, pair_BNN9[b, n], friction)
         for p in range(count):
@@ -62,7 +62,7 @@ def solve_contacts(
                 _solve_normal(rows, p, dt, impulse_P4, twist_N6)
             for p in range(count):
                 _solve_friction(rows, p, impulse_P4, twist_N6)
-                if rows.body_P2[p, 1] == STATIC:
+                if rows.body_P2[p, 1] == KINEMATIC:
                     _solve_spinning(rows, p, spinning_m, impulse_P4, twist_N6)
 
 
@@ -124,7 +124,7 @@ def _velocity(rows: ContactRows, p: int, k: int, twist_N6: Floats) -> float:
     for i in range(3):
         linear = twist_N6[n, i] * axis_P33[p, k, i]
         found += linear + twist_N6[n, 3 + i] * angular_P233[p, 0, k, i]
-    if other != STATIC:
+    if other != KINEMATIC:
         for i in range(3):
             found -= twist_N6[other, i] * axis_P33[p, k, i]
             found -= twist_N6[other, 3 + i] * angular_P233[p, 1, k, i]
@@ -138,7 +138,7 @@ def _apply(rows: ContactRows, p: int, k: int, impulse: float, twist_N6: Floats) 
     for i in range(3):
         twist_N6[n, i] += impulse * rows.scalar_P4[p, INV_MASS] * rows.axis_P33[p, k, i]
         twist_N6[n, 3 + i] += impulse * rows.response_P233[p, 0, k, i]
-    if other != STATIC:
+    if other != KINEMATIC:
         for i in range(3):
             twist_N6[other, i] -= impulse * rows.scalar_P4[p, INV_MASS + 1] * rows.axis_P33[p, k, i]
             twist_N6[other, 3 + i] -= impulse * rows.response_P233[p, 1, k, i]
