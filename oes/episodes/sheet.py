@@ -51,6 +51,7 @@ def write_sheet(folder: Path, out: Path) -> None:
         colour = views.rgb_VHW3.copy()
         for image, camera in zip(colour, step.cameras, strict=True):
             draw_boxes(image, camera, step.center_N3, step.size_N3)
+            cv2.putText(image, camera.name, (2, 9), cv2.FONT_HERSHEY_PLAIN, 0.7, (255, 255, 255))
         depth = depth_image(views.depth_m_VHW, near_m, far_m)
         images += [
             (f"State {step_i}: colour, boxes of the objects", data_uri(mosaic(colour), "jpeg")),

@@ -46,11 +46,7 @@ def rasterise(
     fill_triangles(pix_P3, cell_P2, faces_F3, whole_F, inv_z_HW, face_HW)
     for face_i in crossing_F:
         fill_crossing(cam_P3, K_33, faces_F3, face_i, inv_z_HW, face_HW)
-    for row in range(size_px[0]):
-        for column in range(size_px[1]):
-            inv_z = inv_z_HW[row, column]
-            inv_z_HW[row, column] = 1.0 / inv_z if inv_z > 0.0 else 0.0
-    return inv_z_HW, face_HW
+    return np.where(inv_z_HW > 0.0, 1.0 / inv_z_HW, 0.0), face_HW
 
 
 @jit
