@@ -1,19 +1,17 @@
-"""tables: the raw rows of every stage as tables, figures and metrics.json, with the weights and
-films worth keeping.
-"""
+"""tables: the raw rows of all stages as tables, figures, pages and metrics, with the weights."""
 
 from pathlib import Path
 
 from oes.cli import run
 from oes.config import PARAMS
 from oes.report.build import build
-from oes.report.findings import Inputs, Tables
+from oes.report.inputs import Inputs, TablesConfig
 from oes.report.provenance import read_seeds
 from oes.stage import publish, work_dir
 
 
 def main(
-    cfg: Tables,
+    cfg: TablesConfig,
     meshes: Path,
     episodes: Path,
     perception: Path,
@@ -24,7 +22,7 @@ def main(
     trials: Path,
     out: Path,
 ) -> None:
-    """Write everything into ``out``."""
+    """Write the whole report to ``out``."""
     inputs = Inputs(meshes, episodes, perception, objects, dynamics, rollouts, futures, trials)
     with work_dir(out, (cfg, [rollouts, futures, trials, objects, dynamics, perception])) as work:
         build(cfg, inputs, read_seeds(PARAMS), work)

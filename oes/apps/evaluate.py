@@ -7,8 +7,8 @@ build/evaluate-<folder's name>/.
 
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -19,12 +19,7 @@ from oes.config import PARAMS, load, params
 from oes.csv_io import write_csv
 from oes.dynamics.checkpoint import load_any_model as load_dynamics
 from oes.episodes.capture import capture_split
-from oes.evaluation.evaluate_forecasts import (
-    ERROR_COLUMNS,
-    penetration_meter,
-    sample_mesh_surfaces,
-    split_rows,
-)
+from oes.evaluation.evaluate_forecasts import error_rows, mesh_geometry
 from oes.evaluation.forecasters import RolloutsConfig, make_forecaster
 from oes.meshes.build import MeshesConfig, ingest_folder
 from oes.meshes.catalogue import load_catalogue
@@ -34,10 +29,12 @@ from oes.perception.observations import ObjectsConfig, ScenePerceiver, perceive_
 from oes.perception.perceiver import Perceiver
 from oes.perception.solids import solids_of
 from oes.record.dataset import FrameSource
+from oes.report.aggregates import error_aggregates
 from oes.report.provenance import describe_machine, provenance, read_seeds
-from oes.report.rows import ERRORS, read_columns
-from oes.report.study import forecast_tables, forecasts
-from oes.report.table import markdown, write_table
+from oes.report.rows import read_rows
+from oes.report.table import markdown, write_group
+from oes.report.tables import forecast_groups
+from oes.schema import ERRORS
 from oes.sim.simulate import EpisodesConfig, SplitConfig
 from oes.stage import publish, work_dir
 
@@ -92,14 +89,14 @@ def perceive(work: Path, perception: Path, cfg: ObjectsConfig) -> ObjectStore:
         (work / "progress").mkdir(exist_ok=True)
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         catalogue, perceiver = load_catalogue(work / "meshes"), Perceiver.load(perception, device)
-        shells = GroundTruthProfiles(catalogue, perceiver.net.cfg.surface.cylinder)
+        gt_profiles = GroundTruthProfiles(catalogue, perceiver.net.cfg.surface.cylinder)
         solids = solids_of(catalogue, cfg.num_solid_points)
         observer = ScenePerceiver(
             cfg,
             cfg.settings(TASK, SPLIT),
             perceiver,
             FrameSource(work / "episodes"),
-            shells,
+            gt_profiles,
             solids,
         )
         tensors, _, _ = perceive_split(observer, work / "progress")
@@ -113,25 +110,23 @@ def write_errors(
     """``report/errors.csv``: the errors of every model."""
     recorded = dict(enumerate(FrameSource(work / "episodes").episodes))
     catalogue = load_catalogue(work / "meshes")
-    surfaces = sample_mesh_surfaces(catalogue, cfg.num_surface_points)
-    overlaps = penetration_meter(catalogue, surfaces)
+    geometry = mesh_geometry(catalogue, cfg.num_surface_points)
     rows: list[dict[str, object]] = []
     for word, folder in dynamics.items():
         forecast = make_forecaster(load_dynamics(folder), catalogue, cfg)
-        rows += map(
-            asdict,
-            split_rows(forecast, store, recorded, surfaces, overlaps, (TASK, word, SPLIT), cfg),
-        )
-    write_csv(work / "report" / "errors.csv", rows, ERROR_COLUMNS)
+        rows += error_rows(forecast, store, recorded, geometry, (TASK, word, SPLIT), cfg)
+    write_csv(work / "report" / "errors.csv", rows, ERRORS)
 
 
 def write_report(folder: Path, what: str, episodes: int) -> str:
     """Table 1 of the rows in ``folder``, written there as md, csv and tex; gives the Markdown."""
-    found = forecasts(read_columns([folder / "errors.csv"], ERRORS), seed=0)
+    frame = error_aggregates(read_rows([folder / "errors.csv"], ERRORS), seed=0)
+    group = forecast_groups(frame, TASK)[0]
+    write_group(group, folder)
     line = provenance(what, {"test": episodes}, read_seeds(PARAMS), describe_machine())
-    table = forecast_tables(found, [line])[0]
-    write_table(table, folder)
-    return markdown(table)
+    text = "\n".join([*map(markdown, group.tables), *group.notes, "", line]) + "\n"
+    (folder / f"{group.name}.md").write_text(text, encoding="utf-8")
+    return text
 
 
 if __name__ == "__main__":

@@ -1,29 +1,13 @@
-"""How models and settings are called and ordered in every table and figure."""
+"""Names, labels, order and colours of models, settings, scenarios and metrics."""
 
 from collections.abc import Iterable
 
-MODELS = {
-    "static": "nothing moves",
-    "graph_xyz": "graph-XYZ",
-    "graph_xyz_image": "graph-XYZ-image",
-    "graph_xyz_image_fixed": "graph-XYZ-image, fixed view",
-    "visual_foresight": "Visual Foresight",
-    "planet": "PlaNet",
-    "oes": "3D-OES",
-    "contact": "Contact",
-    "simulator": "simulator",
-}
+from oes.schema import MODELS, VARIANTS
 
-OURS, BASELINE, SURFACES = "oes", "graph_xyz", "contact"
-
-VARIANTS = {
-    "contact_gt": "+ true surfaces",
-    "contact_noaug": "- augmentation",
-    "contact_onestep": "- unroll (single steps)",
-    "contact_300": "300 episodes",
-    "contact_100": "100 episodes",
-}
-"""Models trained otherwise, that only the table of ablations shows."""
+OURS, BASELINE, CONTACT = "oes", "graph_xyz", "contact"
+VARIED, FIXED = "1view_pred", "fixed_pred"
+HORIZONS = (1, 3, 5)
+LAST = HORIZONS[-1]
 
 SETTINGS = {
     "3views_gt": "3 views, true boxes",
@@ -45,7 +29,23 @@ METRICS = {
     "surface_mm": "surface distance (mm)",
 }
 
-# Okabe and Ito's palette: told apart by colour-blind eyes.
+SOURCES = {
+    "truth": "true motion",
+    "encoded": "encoded from the future itself",
+    "photograph": "photographs",
+}
+"""References that stand beside the models in the tables of rendered futures."""
+
+EDITS = {
+    "none": "unchanged",
+    "move": "one object moved",
+    "resize": "one object resized",
+    "remove": "one object removed",
+    "add": "one object added",
+    "push": "another push",
+}
+
+# Okabe and Ito's palette, distinguishable under colour blindness.
 COLOURS = {
     "static": "#999999",
     "graph_xyz": "#e69f00",
@@ -58,10 +58,25 @@ COLOURS = {
     "simulator": "#000000",
 }
 
+CONTACT_NOTE = (
+    "Contact's prior uses Bullet's solver scheme and the data set's nominal constants (mass and "
+    "friction), so it is not a purely learned simulator."
+)
+
+
+def label(model: str) -> str:
+    """Label of a model, a variant or a reference; any other name stays as it is."""
+    return {**MODELS, **VARIANTS, **SOURCES}.get(model, model)
+
 
 def in_order(models: Iterable[str]) -> list[str]:
-    """Models of the study in the study's order, then any others by name."""
-    order = list(MODELS)
+    """Distinct models in the order of the tables, then any other names alphabetically."""
+    order = [*MODELS, *VARIANTS]
     return sorted(
         set(models), key=lambda name: (order.index(name) if name in order else len(order), name)
     )
+
+
+def views_key(num_views: int) -> str:
+    """``1view``, ``3views``."""
+    return f"{num_views}view" + "s" * (num_views > 1)

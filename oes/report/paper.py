@@ -1,10 +1,12 @@
-"""The figures printed in the paper (Tables 1 to 3), which stand beside ours."""
+"""Numbers printed in the paper (Tables 1 to 3), shown beside the measured ones."""
 
-HORIZONS = (1, 3, 5)
+from collections.abc import Mapping
 
-# task -> setting -> model -> metric -> values at T = 1, 3, 5 (Table 1: pushing, two novel objects;
-# Table 2: falling, three to four objects)
-FORECAST: dict[str, dict[str, dict[str, dict[str, tuple[float, float, float]]]]] = {
+Printed = Mapping[str, Mapping[str, tuple[float, float, float]]]
+"""Model -> metric -> values at T = 1, 3, 5."""
+
+# By task and setting (Table 1: pushing, two novel objects; Table 2: falling, three to four).
+FORECAST: dict[str, dict[str, Printed]] = {
     "pushing": {
         "3views_gt": {
             "graph_xyz": {"translation_mm": (4.6, 32.1, 66.3), "rotation_deg": (2.8, 16.7, 26.4)},

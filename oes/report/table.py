@@ -1,68 +1,72 @@
-"""A table as Markdown, CSV and LaTeX. Markdown and LaTeX hold the printed cells, CSV the numbers
-behind them.
-"""
+"""A printed table as Markdown and LaTeX; the rows behind a group of tables as CSV."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from oes.csv_io import write_csv
+import pandas as pd
 
 
 @dataclass(frozen=True)
 class Table:
-    """``cells`` are printed under ``header``; ``records`` are the same facts, one number a column,
-    for machines.
-    """
+    """Printed cells under a header of at most ``MAX_COLUMNS`` columns."""
 
-    name: str
     caption: str
     header: tuple[str, ...]
     cells: tuple[tuple[str, ...], ...]
-    records: tuple[Mapping[str, object], ...]
+
+
+@dataclass(frozen=True)
+class TableGroup:
+    """Tables of one subject. ``rows``: the rows of the tidy frame that they print."""
+
+    name: str
+    title: str
+    tables: tuple[Table, ...]
+    rows: pd.DataFrame
     notes: tuple[str, ...]
 
 
-def rounded(values: Mapping[str, float]) -> dict[str, float]:
-    """Numbers as records hold them."""
-    return {name: round(value, 4) for name, value in values.items()}
+MAX_COLUMNS = 8
 
 
 def markdown(table: Table) -> str:
-    """A pipe table below its caption, above its notes."""
+    """A pipe table below its caption."""
     lines = [_pipes(table.header), _pipes(["---"] * len(table.header)), *map(_pipes, table.cells)]
-    return "\n\n".join([f"**{table.caption}**", "\n".join(lines), *table.notes]) + "\n"
+    return f"**{table.caption}**\n\n" + "\n".join(lines) + "\n"
 
 
-def latex(table: Table) -> str:
-    """A booktabs table; the notes follow as text."""
-    columns = "l" * len(table.header)
-    body = [" & ".join(map(_escaped, row)) + r" \\" for row in table.cells]
-    head = " & ".join(map(_escaped, table.header)) + r" \\"
-    lines = [
-        r"\begin{table}",
-        r"\centering",
-        rf"\caption{{{_escaped(table.caption)}}}",
-        rf"\label{{tab:{table.name}}}",
-        rf"\begin{{tabular}}{{{columns}}}",
-        r"\toprule",
-        head,
-        r"\midrule",
-        *body,
-        r"\bottomrule",
-        r"\end{tabular}",
-        *(rf"\par\smallskip {_escaped(note)}" for note in table.notes),
-        r"\end{table}",
-    ]
-    return "\n".join(lines) + "\n"
+def latex(group: TableGroup) -> str:
+    """A booktabs table per table of the group; the notes follow the last one."""
+    parts = []
+    for table_i, table in enumerate(group.tables):
+        body = [" & ".join(map(_escaped, row)) + r" \\" for row in table.cells]
+        parts += [
+            r"\begin{table}",
+            r"\centering",
+            rf"\caption{{{_escaped(table.caption)}}}",
+            rf"\label{{tab:{group.name}-{table_i + 1}}}",
+            rf"\begin{{tabular}}{{{'l' * len(table.header)}}}",
+            r"\toprule",
+            " & ".join(map(_escaped, table.header)) + r" \\",
+            r"\midrule",
+            *body,
+            r"\bottomrule",
+            r"\end{tabular}",
+            r"\end{table}",
+        ]
+    parts += [rf"\par\smallskip {_escaped(note)}" for note in group.notes]
+    return "\n".join(parts) + "\n"
 
 
-def write_table(table: Table, folder: Path) -> None:
-    """``<name>.md``, ``<name>.csv`` and ``<name>.tex`` in an existing folder."""
-    (folder / f"{table.name}.md").write_text(markdown(table), encoding="utf-8")
-    (folder / f"{table.name}.tex").write_text(latex(table), encoding="utf-8")
-    header = list(dict.fromkeys(key for record in table.records for key in record))
-    write_csv(folder / f"{table.name}.csv", table.records, header)
+def write_group(group: TableGroup, folder: Path) -> None:
+    """``<name>.csv`` (without columns that are empty in every row) and ``<name>.tex``."""
+    rows = group.rows.drop(columns="block").round(4)
+    # p-values may be far below the fourth digit.
+    rows["p_value"] = [float(f"{value:.6g}") for value in group.rows["p_value"]]
+    is_used = ((rows != "") & rows.notna()).any()
+    rows.loc[:, is_used].to_csv(folder / f"{group.name}.csv", index=False, lineterminator="\n")
+    (folder / f"{group.name}.tex").write_text(latex(group), encoding="utf-8")
 
 
 def _pipes(cells: Sequence[str]) -> str:

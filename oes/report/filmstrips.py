@@ -1,6 +1,4 @@
-"""Films of forecasts beside the truth, from the pictures of some scenes that ``rollouts``
-leaves.
-"""
+"""Films of forecasts beside the recorded motion, from the filmstrips that ``rollouts`` writes."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,42 +8,49 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from oes.report.names import BASELINE, MODELS, OURS
+from oes.report.figures import Media
+from oes.report.names import BASELINE, OURS
 from oes.report.rows import RowsError
+from oes.schema import MODELS
 from oes.viz.overlay import INK, Pixels
 from oes.viz.video import write_gif, write_video
 
 SHOWN = (OURS, BASELINE)
-PICTURES_PER_S, HOLD_S = 5, 2
+FPS, HOLD_S = 5, 2
+GIF_OF = "falling"
 
 
-def forecast_films(rollouts: Path, task: str, folder: Path) -> list[str]:
-    """``rollouts-<task>`` as MP4 and GIF, truth and models side by side; gives their paths from
-    ``folder``'s parent.
+def forecast_film(rollouts: Path, task: str, out: Path) -> Media:
+    """``films/rollouts-<task>.mp4``: recorded motion and forecasts side by side. Of ``GIF_OF`` also
+    as a GIF, for README.md.
 
-    Raises RowsError naming a picture that one model lacks, or that is not like the others.
+    Raises RowsError naming an image that one model lacks, or of another shape than the others.
     """
-    pictures = film_of(read_scenes([rollouts / f"{task}-{model}" / "scenes" for model in SHOWN]))
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"rollouts-{task}{suffix}" for suffix in (".mp4", ".gif")]
-    write_video([*pictures, *[pictures[-1]] * (PICTURES_PER_S * HOLD_S)], paths[0], PICTURES_PER_S)
-    seconds = [1 / PICTURES_PER_S] * (len(pictures) - 1) + [1 / PICTURES_PER_S + HOLD_S]
-    write_gif(list(zip(pictures, seconds, strict=True)), paths[1])
-    return [f"{folder.name}/{path.name}" for path in paths]
+    images = film_of(read_scenes([rollouts / f"{task}-{model}" / "scenes" for model in SHOWN]))
+    (out / "films").mkdir(parents=True, exist_ok=True)
+    name = f"films/rollouts-{task}"
+    write_video([*images, *[images[-1]] * (FPS * HOLD_S)], out / f"{name}.mp4", FPS)
+    if task == GIF_OF:
+        seconds = [1 / FPS] * (len(images) - 1) + [1 / FPS + HOLD_S]
+        write_gif(list(zip(images, seconds, strict=True)), out / f"{name}.gif")
+    models = " and ".join(MODELS[model] for model in SHOWN)
+    caption = f"{task.capitalize()}: recorded motion, and forecasts of {models}, on novel objects."
+    return Media(task, f"{name}.mp4", caption)
 
 
 def read_scenes(folders: Sequence[Path]) -> NDArray[np.uint8]:
-    """Tiles by scene, column (the truth, then each folder's forecast) and time: S C T H W 3."""
+    """Tiles by scene, column (recorded, then each folder's forecast) and state: S C T H W 3."""
     names = sorted({path.name for folder in folders for path in folder.glob("*.png")})
     if not names:
-        raise RowsError(f"{folders[0]}: holds no picture of a scene")
+        raise RowsError(f"{folders[0]}: holds no image of a scene")
     rows = [[folder / name for folder in folders] for name in names]
     tiles = {path: _tiles(path) for row in rows for path in row}
     shape = tiles[rows[0][0]].shape
     for path, found in tiles.items():
         if found.shape != shape:
             raise RowsError(
-                f"{path}: holds {found.shape[1]} tiles of {found.shape[2]} px, not {shape[1]} of {shape[2]}"
+                f"{path}: holds {found.shape[1]} tiles of {found.shape[2]} px, "
+                f"not {shape[1]} of {shape[2]}"
             )
     return np.stack(
         [np.stack([tiles[row[0]][0], *(tiles[path][1] for path in row)]) for row in rows]
@@ -53,11 +58,9 @@ def read_scenes(folders: Sequence[Path]) -> NDArray[np.uint8]:
 
 
 def film_of(tiles_SCTHW3: NDArray[np.uint8]) -> list[Pixels]:
-    """A picture for each time: a row a scene, under the names of the columns; its sides are even,
-    as H.264 asks.
-    """
+    """An image per state: a row per scene below the names of the columns; even sides for H.264."""
     _, _, num_times, _, side_px, _ = tiles_SCTHW3.shape
-    pictures = []
+    images = []
     for T in range(num_times):
         heads = np.hstack(
             [
@@ -65,12 +68,12 @@ def film_of(tiles_SCTHW3: NDArray[np.uint8]) -> list[Pixels]:
                 for text in (f"truth, T = {T}", *(MODELS[model] for model in SHOWN))
             ]
         )
-        picture = np.vstack(
+        image = np.vstack(
             [heads, *(np.hstack(list(scene_CTHW3[:, T])) for scene_CTHW3 in tiles_SCTHW3)]
         )
-        height, width = (length // 2 * 2 for length in picture.shape[:2])
-        pictures.append(picture[:height, :width])
-    return pictures
+        height, width = (length // 2 * 2 for length in image.shape[:2])
+        images.append(image[:height, :width])
+    return images
 
 
 def _head(text: str, side_px: int) -> Pixels:
@@ -90,7 +93,7 @@ def _head(text: str, side_px: int) -> Pixels:
 
 
 def _tiles(path: Path) -> NDArray[np.uint8]:
-    """The truth and the forecast of one picture: 2 T H W 3."""
+    """Recorded and forecast tiles of one filmstrip: 2 T H W 3."""
     if not path.is_file():
         raise RowsError(f"{path}: missing, though another model has this scene")
     pixels = np.asarray(Image.open(path).convert("RGB"))
