@@ -87,6 +87,11 @@ class PerceivedScene:
     objects: Objects
     truth: Sequence[int]
 
+    @property
+    def matches(self) -> list[tuple[int, int]]:
+        """Indices of matched objects: perceived, true."""
+        return [(n, true_i) for n, true_i in enumerate(self.truth) if true_i >= 0]
+
 
 Forecaster = Callable[[Sequence[PerceivedScene], Mapping[int, Episode]], list[Forecast]]
 
@@ -99,10 +104,10 @@ def perceived_scenes(
     Raises ObjectsError for a setting that the file lacks.
     """
     scenes = []
-    for draw_i in store.draws(setting):
-        episode_i, num_views = store.episode(draw_i), len(store.views(draw_i))
+    for observation_i in store.observations(setting):
+        episode_i, num_views = store.episode(observation_i), len(store.views(observation_i))
         if episode_i in episodes:
-            objects, gt_N = store.scene(draw_i)
+            objects, gt_N = store.scene(observation_i)
             scenes.append(PerceivedScene(episode_i, num_views, objects, gt_N.tolist()))
     return scenes
 
@@ -151,9 +156,8 @@ class ModelForecaster:
             return forecasts
         for b, scene in enumerate(scenes):
             sigma_TN = np.full(forecasts[b].translation_TN3.shape[:2], np.nan)
-            for n, true_i in enumerate(scene.truth):
-                if true_i >= 0:
-                    sigma_TN[:, true_i] = rollout.sigma_BTN[b, :, n].double().numpy()
+            for n, true_i in scene.matches:
+                sigma_TN[:, true_i] = rollout.sigma_BTN[b, :, n].double().numpy()
             error_model = self.model.error_model
             forecasts[b] = replace(forecasts[b], sigma_TN=sigma_TN, error_model=error_model)
         return forecasts
@@ -203,14 +207,13 @@ def to_gt_objects(
     steps, num = len(episode.actions_T3), len(center_N3)
     gt_translation_TN3, detected_N = np.zeros((steps, num, 3)), np.zeros(num, dtype=bool)
     gt_rotation_TN33 = np.tile(np.eye(3), (steps, num, 1, 1))
-    for n, true_i in enumerate(scene.truth):
-        if true_i >= 0:
-            # A rigid motion about the perceived centre moves the true centre by R d - d + t.
-            offset_3 = center_N3[true_i] - scene.objects.center_N3[n].double().numpy()
-            lever_T3 = rotation_TN33[:, n] @ offset_3 - offset_3
-            gt_translation_TN3[:, true_i] = lever_T3 + translation_TN3[:, n]
-            gt_rotation_TN33[:, true_i] = rotation_TN33[:, n]
-            detected_N[true_i] = True
+    for n, true_i in scene.matches:
+        # A rigid motion about the perceived centre moves the true centre by R d - d + t.
+        offset_3 = center_N3[true_i] - scene.objects.center_N3[n].double().numpy()
+        lever_T3 = rotation_TN33[:, n] @ offset_3 - offset_3
+        gt_translation_TN3[:, true_i] = lever_T3 + translation_TN3[:, n]
+        gt_rotation_TN33[:, true_i] = rotation_TN33[:, n]
+        detected_N[true_i] = True
     return Forecast(gt_translation_TN3, gt_rotation_TN33, detected_N)
 
 

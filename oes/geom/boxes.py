@@ -18,8 +18,9 @@ def aabb(points_P3: Floats) -> tuple[Floats, Floats]:
 
 def iou(center_a: Array, size_a: Array, center_b: Array, size_b: Array) -> Array:
     """Intersection over union ... of boxes (broadcast); 0 for disjoint or empty ones."""
-    is_torch = isinstance(center_a, Tensor)
-    minimum, maximum = (torch.minimum, torch.maximum) if is_torch else (np.minimum, np.maximum)
+    minimum, maximum = (
+        (torch.minimum, torch.maximum) if isinstance(center_a, Tensor) else (np.minimum, np.maximum)
+    )
     high = minimum(center_a + size_a / 2, center_b + size_b / 2)
     low = maximum(center_a - size_a / 2, center_b - size_b / 2)
     intersection = (high - low).clip(0).prod(-1)
