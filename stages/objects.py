@@ -1,6 +1,4 @@
-"""objects: every episode's first state as perception sees it, under every setting; at test, scored
-too.
-"""
+"""objects: the first state of every episode, perceived under every setting; errors at test."""
 
 import shutil
 from pathlib import Path
@@ -29,29 +27,23 @@ def main(
     perception: Path,
     out: Path,
 ) -> None:
-    """Write ``objects.safetensors`` and, for test splits, ``detections.csv`` and ``views.csv`` to
-    ``out``.
-    """
-    is_train = split == TRAIN
+    """Write ``objects.safetensors`` and, of a test split, ``detections.csv`` and ``views.csv``."""
     with work_dir(out, (cfg, task, split, [meshes, episodes, perception])) as work:
         progress = work / "progress"
         progress.mkdir(exist_ok=True)
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         perceiver = Perceiver.load(perception / "perception.safetensors", device)
-        catalogue = load_catalogue(meshes)
-        shells = GroundTruthProfiles(catalogue, perceiver.net.cfg.surface.cylinder)
-        solids = None if is_train else solids_of(catalogue, cfg.num_solid_points)
-        observer = ScenePerceiver(
-            cfg, cfg.settings(task, split), perceiver, FrameSource(episodes), shells, solids
+        catalogue, settings = load_catalogue(meshes), cfg.settings(task, split)
+        gt_profiles = GroundTruthProfiles(catalogue, perceiver.net.cfg.surface.cylinder)
+        solids = None if split == TRAIN else solids_of(catalogue, cfg.num_solid_points)
+        scenes = ScenePerceiver(
+            cfg, settings, perceiver, FrameSource(episodes), gt_profiles, solids
         )
-        tensors, detections, views = perceive_split(observer, progress)
-        write_objects(work / "objects.safetensors", tensors, list(observer.settings))
-        if not is_train:
-            for name, columns, rows in (
-                ("detections", DETECTIONS, detections),
-                ("views", VIEWS, views),
-            ):
-                write_csv(work / f"{name}.csv", rows, columns)
+        tensors, detections, views = perceive_split(scenes, progress)
+        write_objects(work / "objects.safetensors", tensors, list(settings))
+        if split != TRAIN:
+            write_csv(work / "detections.csv", detections, DETECTIONS)
+            write_csv(work / "views.csv", views, VIEWS)
         shutil.rmtree(progress)
         publish(work, out)
 

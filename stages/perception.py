@@ -27,12 +27,12 @@ def main(cfg: PerceptionConfig, meshes: Path, episodes: Path, out: Path) -> None
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         source = FrameSource(*(episodes / f"{task}-train" for task in cfg.tasks))
         catalogue = load_catalogue(meshes)
-        solids, shells = (
+        solids, gt_profiles = (
             solids_of(catalogue, cfg.num_solid_points),
             GroundTruthProfiles(catalogue, cfg.network.surface.cylinder),
         )
         perceiver, log, surface_log = train_perception(
-            cfg, source, solids, shells, progress, device
+            cfg, source, solids, gt_profiles, progress, device
         )
         perceiver.save(work / "perception.safetensors")
         for name, rows in (("log", log), ("surface", surface_log)):

@@ -51,7 +51,7 @@ def make_weights(folder: Path) -> None:
     channels = 1 + NUM_SURFACE + net.cfg.map_features
     cylinder = net.cfg.surface.cylinder
     inputs = InputSpec(
-        channels, roi.count, roi.voxel_m, IMAGE_PX, cylinder.rows, cylinder.directions
+        channels, roi.count, roi.voxel_m, IMAGE_PX, cylinder.num_rows, cylinder.num_directions
     )
     for word, kind in (("oes", OES), ("graph_xyz", GraphXYZ)):
         (folder / "dynamics" / f"pushing-{word}").mkdir(parents=True)

@@ -27,7 +27,9 @@ from oes.perception.surface import Cylinder, SurfaceHeadConfig
 
 SIZES = {"brick": (0.12, 0.06, 0.06), "tile": (0.1, 0.1, 0.04)}
 GRID = Grid(min_m=(-0.32, -0.32, -0.04), shape=(64, 64, 32), voxel_m=0.01)
-CYLINDER = Cylinder(directions=32, distances=24, step_m=0.004, bands=4, band_m=0.02)
+CYLINDER = Cylinder(
+    num_directions=32, num_radii=24, radial_step_m=0.004, num_layers=4, layer_height_m=0.02
+)
 TABLE = (
     np.array([0.6, 0.6, 0.04]),
     rigid(np.eye(3), np.array([0.0, 0.0, -0.02])),
@@ -111,8 +113,8 @@ def box_solids(count: int = 2048) -> Solids:
     )
 
 
-def box_shells() -> GroundTruthProfiles:
-    """Their true outlines."""
+def box_gt_profiles() -> GroundTruthProfiles:
+    """Their ground-truth profiles."""
     meshes = {
         name: SimpleNamespace(visual=trimesh.creation.box(size), com_obj_3=np.zeros(3))
         for name, size in SIZES.items()
@@ -145,7 +147,9 @@ def small_network() -> PerceptionNetConfig:
                 num_samples=4,
             ),
         ),
-        surface=SurfaceHeadConfig(cylinder=CYLINDER, channels=(8, 8), width=16, column=16),
+        surface=SurfaceHeadConfig(
+            cylinder=CYLINDER, channels=(8, 8), width=16, direction_features=16
+        ),
     )
 
 

@@ -9,7 +9,7 @@ from safetensors.torch import load_file, save_file
 
 from oes.config import to_json
 from oes.episode import Frames
-from oes.perception.evaluate import detection_rows, detection_summary, true_objects
+from oes.perception.evaluate import detection_rows, detection_summary, gt_objects
 from oes.perception.lift import Views, views_of
 from oes.perception.losses import LOSS_TERMS, losses
 from oes.perception.network import PerceptionNet
@@ -60,7 +60,7 @@ def test_a_scene_of_nothing_gives_no_objects() -> None:
         32,
         32,
     )
-    rows = detection_rows(seer, scene, true_objects(world.episodes[0], 0, box_solids()))
+    rows = detection_rows(seer, scene, gt_objects(world.episodes[0], 0, box_solids()))
     assert len(rows) == len(world.episodes[0].bodies) and all(row["score"] is None for row in rows)
     assert detection_summary([row | {"episode": 0} for row in rows])["ap_25"] == 0
 
@@ -115,12 +115,12 @@ def test_broken_and_foreign_weights_are_refused_by_name(tmp_path: Path) -> None:
     save_file(
         tensors,
         path,
-        {"format": "oes-perception-3", "config": config.replace('"hidden":32', '"hidden":48')},
+        {"format": "oes-perception-4", "config": config.replace('"hidden":32', '"hidden":48')},
     )
     with pytest.raises(PerceptionFileError, match="do not fit the stored config"):
         Perceiver.load(path)
     save_file(
-        tensors, path, {"format": "oes-perception-3", "config": config.replace("hidden", "width")}
+        tensors, path, {"format": "oes-perception-4", "config": config.replace("hidden", "width")}
     )
     with pytest.raises(PerceptionFileError, match="hidden: missing"):
         Perceiver.load(path)

@@ -1,6 +1,4 @@
-"""How well a perceiver sees: rows of its detections and of its predicted views against the truth,
-and their summary.
-"""
+"""Errors of perception against the ground truth: rows of detections and of predicted views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +10,7 @@ from torch import Tensor
 
 from oes.episode import Camera, Episode, Floats, Frames, Ints
 from oes.geom.assignment import assign
-from oes.geom.boxes import iou, support_height
+from oes.geom.boxes import iou
 from oes.geom.voxels import Grid, voxelize
 from oes.metrics.errors import Boxes, average_precision, chamfer_mm, normal_deg
 from oes.metrics.image_metrics import image_quality
@@ -20,36 +18,35 @@ from oes.perception.gt_profiles import profile_to_point_cloud
 from oes.perception.network import SceneFeatures
 from oes.perception.perceiver import Perceiver
 from oes.perception.solids import Solids
+from oes.perception.surface import support_points
 from oes.schema import BOX
 
 DETECTION_MATCH_M = 0.06
+SHAPE_METRICS = ("mask_iou", "chamfer_mm", "normal_deg")
 PerceptionRow = dict[str, float | None]
 
 
 @dataclass(frozen=True)
-class TrueObjects:
-    """The true objects of one state: boxes (world axes), points that fill each, and points of the
-    surface of each with their normals (both world).
+class GroundTruthObjects:
+    """Objects of one state (world): boxes, points that fill each, and points of each surface with
+    their normals.
     """
 
     center_N3: Floats
     size_N3: Floats
-    solids: tuple[Floats, ...]
-    surfaces: tuple[tuple[Floats, Floats], ...]
+    solids: list[Floats]
+    surfaces: list[tuple[Floats, Floats]]
 
 
-def true_objects(episode: Episode, step_i: int, solids: Solids) -> TrueObjects:
-    """The truth of one recorded state. Raises KeyError where the catalogue lacks a mesh."""
+def gt_objects(episode: Episode, step_i: int, solids: Solids) -> GroundTruthObjects:
+    """Ground truth of a recorded state. Raises KeyError for a mesh not in the catalogue."""
     step = episode.steps[step_i]
-    posed = [
-        solids.posed(body, pose)
-        for body, pose in zip(episode.bodies, step.world_T_obj_N44, strict=True)
-    ]
-    surfaces = [
-        solids.surface(body, pose)
-        for body, pose in zip(episode.bodies, step.world_T_obj_N44, strict=True)
-    ]
-    return TrueObjects(step.center_N3, step.size_N3, tuple(posed), tuple(surfaces))
+    return GroundTruthObjects(
+        step.center_N3,
+        step.size_N3,
+        list(map(solids.posed, episode.bodies, step.world_T_obj_N44)),
+        list(map(solids.surface, episode.bodies, step.world_T_obj_N44)),
+    )
 
 
 def match_detections(predicted_N3: Floats, true_N3: Floats) -> Ints:
@@ -58,50 +55,48 @@ def match_detections(predicted_N3: Floats, true_N3: Floats) -> Ints:
 
 
 def mask_ious(
-    mask_NXYZ: Tensor, centers_N3: Tensor, window: Grid, solids: Sequence[Floats]
+    mask_NXYZ: Tensor, center_N3: Tensor, window: Grid, solids: Sequence[Floats]
 ) -> Floats:
-    """IoU of each predicted mask (probabilities, in a window centred at the box) with the solid it
-    stands for.
-    """
-    points = [
-        torch.from_numpy(solid).float() - center
-        for solid, center in zip(solids, centers_N3, strict=True)
-    ]
-    true = voxelize(torch.stack(points), window) if points else mask_NXYZ > 1
-    guess = mask_NXYZ > 0.5
-    shared = (guess & true).flatten(1).sum(1)
-    return (shared / (guess | true).flatten(1).sum(1).clamp(min=1)).double().numpy()
+    """IoU N of predicted masks (probabilities, in a window around each centre) with solids."""
+    pairs = zip(solids, center_N3, strict=True)
+    points = [torch.from_numpy(solid).float() - center_3 for solid, center_3 in pairs]
+    true_NXYZ = voxelize(torch.stack(points), window) if points else mask_NXYZ > 1
+    predicted_NXYZ = mask_NXYZ > 0.5
+    shared_N = (predicted_NXYZ & true_NXYZ).flatten(1).sum(1)
+    union_N = (predicted_NXYZ | true_NXYZ).flatten(1).sum(1)
+    return (shared_N / union_N.clamp(min=1)).double().numpy()
 
 
 def detection_rows(
-    perceiver: Perceiver, scene: SceneFeatures, truth: TrueObjects
+    perceiver: Perceiver, scene: SceneFeatures, truth: GroundTruthObjects
 ) -> list[PerceptionRow]:
     """One row for every detection (matched or false) and for every missed object of one scene."""
     centers, sizes, scores = (value.float().cpu() for value in perceiver.detect(scene))
     gt_N = match_detections(centers.double().numpy(), truth.center_N3)
-    hits = [i for i, true_i in enumerate(gt_N) if true_i >= 0]
-    mask = perceiver.crops(scene, centers[None, hits], sizes[None, hits])[0, :, 0].float().cpu()
-    masks = mask_ious(
-        mask, centers[hits], perceiver.net.roi.window, [truth.solids[gt_N[i]] for i in hits]
-    )
-    shapes = _surface_errors(
-        perceiver,
-        scene,
-        (centers[hits], sizes[hits]),
-        mask,
-        [truth.surfaces[gt_N[i]] for i in hits],
-    )
+    hits = np.flatnonzero(gt_N >= 0).tolist()
+    boxes = centers[hits], sizes[hits]
+    mask_NXYZ = perceiver.crops(scene, boxes[0][None], boxes[1][None])[0, :, 0].float().cpu()
+    solids = [truth.solids[i] for i in gt_N[hits]]
+    masks = mask_ious(mask_NXYZ, boxes[0], perceiver.net.roi.window, solids)
+    surfaces = [truth.surfaces[i] for i in gt_N[hits]]
+    shapes = _surface_errors(perceiver, scene, boxes, mask_NXYZ, surfaces)
     quality = {i: (masks[k], *shapes[k]) for k, i in enumerate(hits)}
-    boxes = torch.cat([centers, sizes], dim=1).double().numpy()
-    true_boxes = np.concatenate([truth.center_N3, truth.size_N3], axis=1)
-    rows = [
-        _detection(
-            boxes[i], float(scores[i]), true_boxes[true_i] if true_i >= 0 else None, quality.get(i)
-        )
-        for i, true_i in enumerate(gt_N)
-    ]
-    missed = [true_i for true_i in range(len(true_boxes)) if true_i not in gt_N]
-    return rows + [_boxes_row(None, true_boxes[true_i]) for true_i in missed]
+    box_N6 = torch.cat([centers, sizes], dim=1).double().numpy()
+    true_N6 = np.concatenate([truth.center_N3, truth.size_N3], axis=1)
+    rows = []
+    for i, true_i in enumerate(gt_N):
+        row = _boxes_row(box_N6[i], true_N6[true_i] if i in quality else None)
+        row["score"] = float(scores[i])
+        if i in quality:
+            row |= dict(zip(SHAPE_METRICS, map(float, quality[i]), strict=True))
+            (center, size), (true_center, true_size) = (
+                np.split(box, 2) for box in (box_N6[i], true_N6[true_i])
+            )
+            row["iou"] = float(iou(center, size, true_center, true_size))
+            row["centre_mm"] = float(np.linalg.norm(center - true_center) * 1e3)
+        rows.append(row)
+    missed = [i for i in range(len(true_N6)) if i not in gt_N]
+    return rows + [_boxes_row(None, true_N6[i]) for i in missed]
 
 
 def _surface_errors(
@@ -111,25 +106,18 @@ def _surface_errors(
     mask_NXYZ: Tensor,
     surfaces: Sequence[tuple[Floats, Floats]],
 ) -> list[tuple[float, float]]:
-    """Chamfer distance (mm) and error of the normals (degrees) of the completed surface of each
-    matched detection.
-    """
-    radial_profile_NRD3 = perceiver.surfaces(scene, *boxes, mask_NXYZ)[0].float().cpu()
-    foot_N3 = torch.cat([boxes[0][:, :2], support_height(*boxes)[:, None]], -1)
-    top_N = boxes[0][:, 2] + boxes[1][:, 2] / 2 - foot_N3[:, 2]
-    errors = []
-    for outline, foot_3, top, (true_P3, true_normal_P3) in zip(
-        radial_profile_NRD3, foot_N3, top_N, surfaces, strict=True
+    """Chamfer distance (mm) and error of the normals (degrees) of completed surfaces."""
+    profile_NRD3 = perceiver.surfaces(scene, *boxes, mask_NXYZ)[0].float().cpu()
+    support_N3 = support_points(*boxes)
+    top_N = boxes[0][:, 2] + boxes[1][:, 2] / 2 - support_N3[:, 2]
+    cylinder, errors = perceiver.net.cfg.surface.cylinder, []
+    for profile_RD3, support_3, top, true in zip(
+        profile_NRD3, support_N3, top_N, surfaces, strict=True
     ):
-        points_P3, normal_P3 = profile_to_point_cloud(
-            outline, perceiver.net.cfg.surface.cylinder, float(top)
-        )
-        found_P3, found_normal_P3 = (
-            (points_P3 + foot_3).double().numpy(),
-            normal_P3.double().numpy(),
-        )
-        angle = normal_deg(found_P3, found_normal_P3, true_P3, true_normal_P3)
-        errors.append((chamfer_mm(found_P3, true_P3), angle))
+        points_P3, normal_P3 = profile_to_point_cloud(profile_RD3, cylinder, float(top))
+        points = (points_P3 + support_3).double().numpy()
+        angle_deg = normal_deg(points, normal_P3.double().numpy(), *true)
+        errors.append((chamfer_mm(points, true[0]), angle_deg))
     return errors
 
 
@@ -137,59 +125,37 @@ def detection_summary(rows: Sequence[PerceptionRow]) -> dict[str, float]:
     """``ap_25``, ``ap_50``; means over matched detections of ``mask_iou``, ``centre_mm``,
     ``chamfer_mm`` and ``normal_deg`` (without any: 0, and NaN).
 
-    ``rows`` are those of ``detection_rows`` with a column ``episode`` that tells scenes apart.
+    ``rows``: those of ``detection_rows``, with a column ``episode`` that tells scenes apart.
     """
-    found = [row for row in rows if row["x_m"] is not None]
+    detected = [row for row in rows if row["x_m"] is not None]
     true = [row for row in rows if row["true_x_m"] is not None]
-    scores = _column(found, "score")
-    boxes, true_boxes = _boxes(found, ""), _boxes(true, "true_")
-    matched = [row for row in found if row["true_x_m"] is not None]
-    return {
-        "ap_25": average_precision(boxes, scores, true_boxes, 0.25),
-        "ap_50": average_precision(boxes, scores, true_boxes, 0.5),
-        "mask_iou": float(np.mean(_column(matched, "mask_iou"))) if matched else 0.0,
-    } | {
-        name: float(np.mean(_column(matched, name))) if matched else float("nan")
-        for name in ("centre_mm", "chamfer_mm", "normal_deg")
+    matched = [row for row in detected if row["true_x_m"] is not None]
+    boxes = _boxes(detected, ""), _column(detected, "score"), _boxes(true, "true_")
+    empty = {"mask_iou": 0.0} | dict.fromkeys(("centre_mm", "chamfer_mm", "normal_deg"), np.nan)
+    return {f"ap_{percent}": average_precision(*boxes, percent / 100) for percent in (25, 50)} | {
+        name: float(np.mean(_column(matched, name))) if matched else value
+        for name, value in empty.items()
     }
 
 
 def view_row(
     perceiver: Perceiver, scene: SceneFeatures, frames: Frames, camera: Camera
 ) -> PerceptionRow:
-    """How good the view predicted for ``camera`` is, against the only image of ``frames``."""
-    return {**picture_quality(perceiver.render(scene, camera), frames.rgb_VHW3[0])}
+    """Quality of the view predicted for ``camera``, against the only image of ``frames``."""
+    return {**rgb_quality(perceiver.render(scene, camera), frames.rgb_VHW3[0])}
 
 
-def picture_quality(guess_HW3: NDArray[np.uint8], true_HW3: NDArray[np.uint8]) -> dict[str, float]:
-    """``psnr_db`` and ``ssim`` of one picture against another."""
-    return image_quality(
-        *(
-            torch.from_numpy(np.array(image)).movedim(-1, 0).float() / 255
-            for image in (guess_HW3, true_HW3)
-        )
-    )
-
-
-def _detection(
-    box_6: Floats, score: float, true_6: Floats | None, quality: tuple[float, float, float] | None
-) -> PerceptionRow:
-    """``quality`` of a match: of its mask, of its surface and of that's normals."""
-    row = _boxes_row(box_6, true_6) | {"score": score}
-    if true_6 is None or quality is None:
-        return row
-    row |= dict(zip(("mask_iou", "chamfer_mm", "normal_deg"), map(float, quality), strict=True))
-    overlap = float(iou(box_6[:3], box_6[3:], true_6[:3], true_6[3:]))
-    return row | {"iou": overlap, "centre_mm": float(np.linalg.norm(box_6[:3] - true_6[:3]) * 1e3)}
+def rgb_quality(predicted_HW3: NDArray[np.uint8], true_HW3: NDArray[np.uint8]) -> dict[str, float]:
+    """``psnr_db`` and ``ssim`` of a predicted image."""
+    images = (torch.from_numpy(np.array(image)) for image in (predicted_HW3, true_HW3))
+    return image_quality(*(image.movedim(-1, 0).float() / 255 for image in images))
 
 
 def _boxes_row(box_6: Floats | None, true_6: Floats | None) -> PerceptionRow:
-    row: PerceptionRow = dict.fromkeys(
-        ("score", "iou", "centre_mm", "mask_iou", "chamfer_mm", "normal_deg")
-    )
+    row: PerceptionRow = dict.fromkeys(("score", "iou", "centre_mm", *SHAPE_METRICS))
     for prefix, values in (("", box_6), ("true_", true_6)):
-        for column_i, name in enumerate(BOX):
-            row[prefix + name] = None if values is None else float(values[column_i])
+        for i, name in enumerate(BOX):
+            row[prefix + name] = None if values is None else float(values[i])
     return row
 
 

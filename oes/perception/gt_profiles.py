@@ -1,12 +1,11 @@
-"""Surfaces as outlines and as points: the true ones of posed meshes, and those that an outline
-stands for.
-"""
+"""Ground-truth radial profiles of posed meshes, and the point cloud that a profile describes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 import trimesh
 from torch import Tensor
 
@@ -16,72 +15,65 @@ from oes.meshes.catalogue import Catalogue
 from oes.objects import LAYERS
 from oes.perception.surface import PRESENCE, RADIUS, Cylinder
 
-RAYS_A_BAND = 4
-FOOT_RAYS_M = (
-    0.0005,
-    0.0015,
-)  # how far above its lowest point an object is taken to stand on the table
-RAY_START_FACTOR = 1.3  # rays start so much beyond the cylinder
-MIN_PRESENCE_PROFILE = 0.5
+RAYS_PER_LAYER = 4
+SUPPORT_HEIGHTS_M = (0.0005, 0.0015)  # of the support's rays above the lowest point of an object
+RAY_START_FACTOR = 1.3  # start of the rays over the radius of the grid
+PRESENCE_THRESHOLD = 0.5
+RING_HEIGHTS = (0.17, 0.5, 0.83)  # of the rings of points on a layer's side, over its height
 
 
 @dataclass(frozen=True)
 class GroundTruthProfiles:
-    """True outlines of the bodies of a catalogue, by casting rays at their meshes."""
+    """Radial profiles of the bodies of a catalogue, by ray casting against their meshes."""
 
     catalogue: Catalogue
     cylinder: Cylinder
 
-    def outlines(
-        self, episode: Episode, step_i: int, foot_N3: Floats, object_is: Sequence[int]
+    def of_state(
+        self, episode: Episode, step_i: int, support_N3: Floats, object_is: Sequence[int]
     ) -> tuple[Floats, Floats]:
-        """Radii NRK (metres; 0 where there is nothing) of some objects of a recorded state around
-        the vertical axes through ``foot_N3``, from its height upwards; and where their centres of
-        mass are, N3 (world).
+        """Radii NRD (metres; 0: no surface) and centres of mass N3 (world) of some objects.
+
+        ``support_N3`` are the origins of their cylindrical grids (world).
         """
-        poses_N44 = episode.steps[step_i].world_T_obj_N44
-        radii = [
-            self.outline(episode.bodies[i], poses_N44[i], foot_3)
-            for i, foot_3 in zip(object_is, foot_N3, strict=True)
+        bodies = [episode.bodies[i] for i in object_is]
+        poses = [episode.steps[step_i].world_T_obj_N44[i] for i in object_is]
+        radii = list(map(self.radii, bodies, poses, support_N3))
+        coms = [
+            pose[:3, :3] @ (self.catalogue.meshes[body.mesh].com_obj_3 * body.scale_3) + pose[:3, 3]
+            for body, pose in zip(bodies, poses, strict=True)
         ]
-        mass = [self._mass(episode.bodies[i], poses_N44[i]) for i in object_is]
-        rows, count = self.cylinder.rows, self.cylinder.directions
-        return np.array(radii).reshape(-1, rows, count), np.array(mass).reshape(-1, 3)
+        shape = (-1, self.cylinder.num_rows, self.cylinder.num_directions)
+        return np.array(radii).reshape(shape), np.array(coms).reshape(-1, 3)
 
-    def outline(self, body: Body, world_T_obj_44: Floats, foot_3: Floats) -> Floats:
-        """Radii RK of one body."""
+    def radii(self, body: Body, world_T_obj_44: Floats, support_3: Floats) -> Floats:
+        """Radii RD of one body."""
         cylinder, mesh = self.cylinder, self.catalogue.meshes[body.mesh].visual
-        side_K2 = directions(cylinder.directions).double().numpy()
+        unit_D2 = directions(cylinder.num_directions).double().numpy()
         R, t = world_T_obj_44[:3, :3], world_T_obj_44[:3, 3]
-        lowest_m = (mesh.vertices * body.scale_3 @ R[2]).min() + t[2] - foot_3[2]
-        height_H = (np.arange(cylinder.bands * RAYS_A_BAND) + 0.5) * cylinder.band_m / RAYS_A_BAND
-        height_H = np.concatenate([lowest_m + np.array(FOOT_RAYS_M), height_H])
-        start_m = cylinder.reach_m * RAY_START_FACTOR
-        start_HK3 = np.zeros((len(height_H), len(side_K2), 3))
-        start_HK3[..., :2] = side_K2 * start_m
-        start_HK3[..., 2] = height_H[:, None]
-        inward_HK3 = np.broadcast_to(
-            np.append(-side_K2, np.zeros((len(side_K2), 1)), 1), start_HK3.shape
-        )
-        start_obj = (start_HK3 + foot_3 - t) @ R / body.scale_3
-        inward_obj = inward_HK3 @ R / body.scale_3
-        radius_HK = start_m - _first_hits(
-            mesh, start_obj.reshape(-1, 3), inward_obj.reshape(-1, 3)
-        ).reshape(len(height_H), -1)
-        foot_FK, side_HK = np.split(np.clip(radius_HK, 0, cylinder.reach_m), [len(FOOT_RAYS_M)])
-        radius_BK = side_HK.reshape(cylinder.bands, RAYS_A_BAND, -1).max(1)
-        return np.stack([radius_BK.max(0), radius_BK[1:].max(0), foot_FK.max(0), *radius_BK])
-
-    def _mass(self, body: Body, world_T_obj_44: Floats) -> Floats:
-        com_3 = self.catalogue.meshes[body.mesh].com_obj_3 * body.scale_3
-        place: Floats = world_T_obj_44[:3, :3] @ com_3 + world_T_obj_44[:3, 3]
-        return place
+        # The support is measured at the mesh itself: its box may be off by some millimetres.
+        lowest_m = (mesh.vertices * body.scale_3 @ R[2]).min() + t[2] - support_3[2]
+        height_Q = np.arange(cylinder.num_layers * RAYS_PER_LAYER) + 0.5
+        height_Q = height_Q * cylinder.layer_height_m / RAYS_PER_LAYER
+        height_Q = np.concatenate([lowest_m + np.array(SUPPORT_HEIGHTS_M), height_Q])
+        start_m = cylinder.max_radius_m * RAY_START_FACTOR
+        start_QD3 = np.zeros((len(height_Q), len(unit_D2), 3))
+        start_QD3[..., :2] = unit_D2 * start_m
+        start_QD3[..., 2] = height_Q[:, None]
+        inward_QD3 = np.broadcast_to(np.pad(-unit_D2, ((0, 0), (0, 1))), start_QD3.shape)
+        # Rays are cast inwards in the mesh's frame, so that the first hit is the outermost surface.
+        start_obj = (start_QD3 + support_3 - t) @ R / body.scale_3
+        inward_obj = inward_QD3 @ R / body.scale_3
+        hit_P = _first_hits(mesh, start_obj.reshape(-1, 3), inward_obj.reshape(-1, 3))
+        radius_QD = np.clip(start_m - hit_P.reshape(len(height_Q), -1), 0, cylinder.max_radius_m)
+        support_QD, side_QD = np.split(radius_QD, [len(SUPPORT_HEIGHTS_M)])
+        radius_ZD = side_QD.reshape(cylinder.num_layers, RAYS_PER_LAYER, -1).max(1)
+        summary = radius_ZD.max(0), radius_ZD[1:].max(0), support_QD.max(0)
+        return np.stack([*summary, *radius_ZD])
 
 
 def _first_hits(mesh: trimesh.Trimesh, start_P3: Floats, direction_P3: Floats) -> Floats:
-    """How many ``direction_P3`` (of any length) from each start the mesh is first hit, P; infinite
-    where it is not.
-    """
+    """Ray parameters P of the first hits, in lengths of ``direction_P3``; infinite without one."""
     length_P = np.linalg.norm(direction_P3, axis=-1)
     unit_P3 = direction_P3 / length_P[:, None]
     hit_Q3, ray_Q, _ = mesh.ray.intersects_location(start_P3, unit_P3, multiple_hits=False)
@@ -91,63 +83,47 @@ def _first_hits(mesh: trimesh.Trimesh, start_P3: Floats, direction_P3: Floats) -
 
 
 def profile_to_point_cloud(
-    outline_RK3: Tensor, cylinder: Cylinder, top_m: float
+    radial_profile_RD3: Tensor, cylinder: Cylinder, top_m: float
 ) -> tuple[Tensor, Tensor]:
-    """The surface that an outline stands for: points P3 from the middle of its foot, and outward
-    unit normals P3.
+    """Points P3 of the surface of a profile, relative to its support point, and unit normals P3.
 
-    Its sides are the bands; where the next band up (down) is narrower or absent, a lid (a bottom)
-    closes the step. ``top_m`` is the height of the object: bands end there.
+    Layers end at the object's height ``top_m``. Horizontal lids close the steps between layers of
+    different radii.
     """
-    radius_BK = outline_RK3[LAYERS:, :, RADIUS] * (
-        outline_RK3[LAYERS:, :, PRESENCE] > MIN_PRESENCE_PROFILE
-    )
-    side_K2 = directions(radius_BK.shape[1])
+    is_present_ZD = radial_profile_RD3[LAYERS:, :, PRESENCE] > PRESENCE_THRESHOLD
+    radius_ZD = radial_profile_RD3[LAYERS:, :, RADIUS] * is_present_ZD
+    padded_ZD = F.pad(radius_ZD, (0, 0, 1, 1))
+    unit_D2 = directions(radius_ZD.shape[1])
     sides, lids = [], []
-    for band_i, radius_K in enumerate(radius_BK):
-        low, high = band_i * cylinder.band_m, min((band_i + 1) * cylinder.band_m, top_m)
-        if high <= low or not (radius_K > 0).any():
+    for layer_i, radius_D in enumerate(radius_ZD):
+        low = layer_i * cylinder.layer_height_m
+        high = min((layer_i + 1) * cylinder.layer_height_m, top_m)
+        is_present_D = radius_D > 0
+        if high <= low or not is_present_D.any():
             continue
-        sides += [
-            _side(radius_K, side_K2, low + share * (high - low)) for share in (0.17, 0.5, 0.83)
-        ]
-        above_K = (
-            radius_BK[band_i + 1]
-            if high < top_m and band_i + 1 < len(radius_BK)
-            else torch.zeros_like(radius_K)
+        xy_P2, normal_P3 = (
+            (radius_D[:, None] * unit_D2)[is_present_D],
+            F.pad(profile_normals(radius_D), (0, 1)),
         )
-        below_K = radius_BK[band_i - 1] if band_i else torch.zeros_like(radius_K)
-        lids += [
-            _lid(radius_K, above_K, side_K2, high, 1.0),
-            _lid(radius_K, below_K, side_K2, low, -1.0),
-        ]
-    parts = [part for part in sides + lids if len(part[0])]
-    if not parts:
+        for share in RING_HEIGHTS:
+            points_P3 = F.pad(xy_P2, (0, 1), value=low + share * (high - low))
+            sides.append((points_P3, normal_P3[is_present_D]))
+        above_D = padded_ZD[layer_i + 2] * (high < top_m)
+        lids.append(_lid(radius_D, above_D, high, 1.0))
+        lids.append(_lid(radius_D, padded_ZD[layer_i], low, -1.0))
+    if not sides:
         return torch.zeros(1, 3), torch.tensor([[0.0, 0.0, 1.0]])
-    return torch.cat([points for points, _ in parts]), torch.cat([normal for _, normal in parts])
+    points, point_normals = zip(*sides, *lids, strict=True)
+    return torch.cat(points), torch.cat(point_normals)
 
 
-def _side(radius_K: Tensor, side_K2: Tensor, height_m: float) -> tuple[Tensor, Tensor]:
-    """One ring of points."""
-    there_K = radius_K > 0
-    points_K3 = _raised(radius_K[:, None] * side_K2, height_m)
-    return points_K3[there_K], _raised(profile_normals(radius_K), 0.0)[there_K]
-
-
-def _lid(
-    outer_K: Tensor, inner_K: Tensor, side_K2: Tensor, height_m: float, up: float
-) -> tuple[Tensor, Tensor]:
-    """Points between two outlines at one height, as dense towards the axis as away from it."""
-    share_S = torch.linspace(0.1, 0.9, 5).sqrt()
-    radius_SK = (
-        inner_K.square()
-        + (outer_K.square() - inner_K.square()).clamp(min=0) * share_S[:, None].square()
-    ).sqrt()
-    is_open_SK = (outer_K > inner_K + 1e-3).expand_as(radius_SK)
-    points_P3 = _raised((radius_SK[..., None] * side_K2)[is_open_SK], height_m)
-    return points_P3, torch.tensor([0.0, 0.0, up]).expand_as(points_P3)
-
-
-def _raised(xy_P2: Tensor, z: float) -> Tensor:
-    """Points P2 with a height."""
-    return torch.cat([xy_P2, torch.full_like(xy_P2[:, :1], z)], -1)
+def _lid(outer_D: Tensor, inner_D: Tensor, z_m: float, normal_z: float) -> tuple[Tensor, Tensor]:
+    """Points between two horizontal outlines and their normals."""
+    # Square roots of even steps give points of the same density at all radii.
+    share_Q1 = torch.linspace(0.1, 0.9, 5).sqrt()[:, None]
+    ring_D = (outer_D.square() - inner_D.square()).clamp(min=0)
+    radius_QD = (inner_D.square() + ring_D * share_Q1.square()).sqrt()
+    is_open_QD = (outer_D > inner_D + 1e-3).expand_as(radius_QD)
+    xy_QD2 = radius_QD[..., None] * directions(len(outer_D))
+    points_P3 = F.pad(xy_QD2[is_open_QD], (0, 1), value=z_m)
+    return points_P3, torch.tensor([0.0, 0.0, normal_z]).expand_as(points_P3)

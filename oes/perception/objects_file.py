@@ -1,7 +1,7 @@
-"""The objects file: perceived objects of many draws (an episode's first state, seen through one set
-of views).
+"""The objects file: perceived objects of many observations, in one safetensors file.
 
-One safetensors file, ragged over O objects in D draws; settings by name in its metadata.
+An observation is the first state of an episode, perceived under one setting. Object tensors
+concatenate the O objects of all U observations; the metadata holds the names of the settings.
 """
 
 import json
@@ -15,28 +15,30 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from oes.objects import Objects
-from oes.perception.surface import MIN_SIGMA_PROFILE_M
+from oes.perception.surface import MIN_RADIUS_SCALE_M
 from oes.training.tensor_io import read_tensors, write_tensors
 
-OBJECTS_FORMAT = "oes-objects-3"
-DTYPES = {
-    "draw_O": torch.int32,
+OBJECTS_FORMAT = "oes-objects-4"
+FIELD_DTYPES = {  # fields of ``Objects``; in the file, O takes the place of N
+    "center_N3": torch.float32,
+    "size_N3": torch.float32,
+    "score_N": torch.float32,
+    "crop_NCXYZ": torch.float16,
+    "image_NV3HW": torch.uint8,
+    "camera_NV12": torch.float32,
+    "view_NV": torch.bool,
+    "radial_profile_NRD3": torch.float16,
+    "com_offset_N3": torch.float32,
+}
+DTYPES = {name.replace("_N", "_O"): dtype for name, dtype in FIELD_DTYPES.items()} | {
+    "observation_O": torch.int32,
     "gt_O": torch.int32,
-    "center_O3": torch.float32,
-    "size_O3": torch.float32,
-    "score_O": torch.float32,
-    "crop_OCXYZ": torch.float16,
-    "image_OV3HW": torch.uint8,
-    "camera_OV12": torch.float32,
-    "view_OV": torch.bool,
-    "radial_profile_ORD3": torch.float16,
-    "com_offset_O3": torch.float32,
-    "true_radius_ORK": torch.float16,
-    "true_mass_O3": torch.float32,
-    "episode_D": torch.int32,
-    "setting_D": torch.int32,
-    "num_views_D": torch.int32,
-    "views_DV": torch.int32,
+    "gt_radius_ORD": torch.float16,
+    "gt_com_offset_O3": torch.float32,
+    "episode_U": torch.int32,
+    "setting_U": torch.int32,
+    "num_views_U": torch.int32,
+    "views_UV": torch.int32,
 }
 
 
@@ -46,11 +48,10 @@ class ObjectsError(ValueError):
 
 @dataclass(frozen=True)
 class Observation:
-    """One scene as perceived: ``gt_N`` is the true object of each (-1: none), ``views`` the cameras
-    that saw it.
+    """One episode perceived under one setting; ``views`` are the indices of its cameras.
 
-    ``truth``: radii NRK of the true outlines and true centres of mass N3, from the perceived
-    centres (NaN: no object).
+    ``gt_N``: ground-truth object of each perceived one (-1: none). ``gt_surface``: radii NRD and
+    centres of mass N3 of these, relative to the perceived centres (NaN: no object).
     """
 
     episode_i: int
@@ -58,146 +59,124 @@ class Observation:
     views: tuple[int, ...]
     objects: Objects
     gt_N: NDArray[np.int64]
-    truth: tuple[Tensor, Tensor]
+    gt_surface: tuple[Tensor, Tensor]
 
 
 @dataclass(frozen=True)
 class ObjectStore:
-    """A file in memory; ``tensors`` has the keys of ``DTYPES``, objects ordered by draw."""
+    """A file in memory; ``tensors`` has the keys of ``DTYPES``, objects ordered by observation."""
 
     settings: tuple[str, ...]
     tensors: dict[str, Tensor]
-    start_D: Tensor
 
     def __len__(self) -> int:
-        """Number of draws."""
-        return len(self.tensors["episode_D"])
+        """Number of observations."""
+        return len(self.tensors["episode_U"])
 
-    def draws(self, setting: str) -> list[int]:
-        """Numbers of the draws of one setting, in the order of episodes. Raises ObjectsError for an
-        unknown one.
-        """
+    def observations(self, setting: str) -> list[int]:
+        """Indices of the observations of one setting, ordered by episode. Raises ObjectsError."""
         if setting not in self.settings:
             raise ObjectsError(f"no setting {setting!r}; there are: {', '.join(self.settings)}")
-        is_setting = self.tensors["setting_D"] == self.settings.index(setting)
-        return [int(draw_i) for draw_i in is_setting.nonzero()[:, 0]]
+        is_setting_U = self.tensors["setting_U"] == self.settings.index(setting)
+        return [int(i) for i in is_setting_U.nonzero()[:, 0]]
 
-    def episode(self, draw_i: int) -> int:
-        """The draw's episode: a position in ``list_episodes``."""
-        return int(self.tensors["episode_D"][draw_i])
+    def episode(self, observation_i: int) -> int:
+        """Index of the observation's episode in ``list_episodes``."""
+        return int(self.tensors["episode_U"][observation_i])
 
-    def views(self, draw_i: int) -> tuple[int, ...]:
-        """The cameras that saw the draw."""
-        return tuple(int(view) for view in self.tensors["views_DV"][draw_i] if view >= 0)
+    def views(self, observation_i: int) -> tuple[int, ...]:
+        """Indices of the observation's cameras."""
+        return tuple(int(view) for view in self.tensors["views_UV"][observation_i] if view >= 0)
 
     def with_gt_surfaces(self) -> "ObjectStore":
-        """The same scenes, each object with its true surface and centre of mass; false detections
-        as seen.
-        """
-        radius_ORK, seen_ORK3 = (
-            self.tensors["true_radius_ORK"].float(),
-            self.tensors["radial_profile_ORD3"].float(),
-        )
-        sure_ORK = torch.full_like(radius_ORK, MIN_SIGMA_PROFILE_M)
-        true_ORK3 = torch.stack([radius_ORK, sure_ORK, (radius_ORK > 0).float()], -1)
-        is_true_O = self.tensors["gt_O"] >= 0
-        radial_profile_ORD3 = torch.where(is_true_O[:, None, None, None], true_ORK3, seen_ORK3)
-        com_offset_O3 = torch.where(
-            is_true_O[:, None], self.tensors["true_mass_O3"], self.tensors["com_offset_O3"]
-        )
-        tensors = self.tensors | {
-            "radial_profile_ORD3": radial_profile_ORD3,
-            "com_offset_O3": com_offset_O3,
-        }
-        return ObjectStore(self.settings, tensors, self.start_D)
+        """The same scenes with the ground-truth surface and centre of mass of every object.
 
-    def scene(self, draw_i: int) -> tuple[Objects, Tensor]:
-        """The draw's objects (unbatched, float32, all valid; views padded) and ``gt_N`` (-1:
-        none).
+        False detections keep the predicted ones.
         """
-        rows = slice(int(self.start_D[draw_i]), int(self.start_D[draw_i + 1]))
-        part = {name: value[rows] for name, value in self.tensors.items() if "_O" in name}
-        objects = Objects(
-            center_N3=part["center_O3"],
-            size_N3=part["size_O3"],
-            score_N=part["score_O"],
-            valid_N=torch.ones(len(part["score_O"]), dtype=torch.bool),
-            crop_NCXYZ=part["crop_OCXYZ"].float(),
-            image_NV3HW=part["image_OV3HW"],
-            camera_NV12=part["camera_OV12"],
-            view_NV=part["view_OV"],
-            radial_profile_NRD3=part["radial_profile_ORD3"].float(),
-            com_offset_N3=part["com_offset_O3"],
+        old, radius_ORD = self.tensors, self.tensors["gt_radius_ORD"].float()
+        scale_ORD = torch.full_like(radius_ORD, MIN_RADIUS_SCALE_M)
+        gt_ORD3 = torch.stack([radius_ORD, scale_ORD, (radius_ORD > 0).float()], -1)
+        is_true_O1 = old["gt_O"][:, None] >= 0
+        profile_ORD3 = torch.where(
+            is_true_O1[..., None, None], gt_ORD3, old["radial_profile_ORD3"].float()
         )
-        return objects, part["gt_O"].long()
+        com_offset_O3 = torch.where(is_true_O1, old["gt_com_offset_O3"], old["com_offset_O3"])
+        new = {"radial_profile_ORD3": profile_ORD3, "com_offset_O3": com_offset_O3}
+        return ObjectStore(self.settings, old | new)
+
+    def scene(self, observation_i: int) -> tuple[Objects, Tensor]:
+        """Objects (unbatched, float32, views padded) and ``gt_N`` (-1: none)."""
+        start, stop = torch.searchsorted(
+            self.tensors["observation_O"],
+            torch.tensor([observation_i, observation_i + 1], dtype=torch.int32),
+        ).tolist()
+        part = {name: self.tensors[name.replace("_N", "_O")][start:stop] for name in FIELD_DTYPES}
+        part = {
+            name: value.float() if value.is_floating_point() else value
+            for name, value in part.items()
+        }
+        valid_N = torch.ones(stop - start, dtype=torch.bool)
+        return Objects(valid_N=valid_N, **part), self.tensors["gt_O"][start:stop].long()
 
 
 def pack(
-    draws: Sequence[Observation], settings: Sequence[str], num_views: int
+    observations: Sequence[Observation], settings: Sequence[str], num_views: int
 ) -> dict[str, Tensor]:
-    """Draws as the tensors of a file whose views are padded to ``num_views``."""
-    scenes = [draw.objects for draw in draws]
+    """The tensors of a file whose views are padded to ``num_views``."""
+    scenes = [each.objects for each in observations]
     counts = torch.tensor([len(scene.score_N) for scene in scenes], dtype=torch.int64)
-    views = [[*draw.views, *[-1] * (num_views - len(draw.views))] for draw in draws]
+    views = [[*each.views, *[-1] * (num_views - len(each.views))] for each in observations]
     tensors = {
-        "draw_O": torch.repeat_interleave(torch.arange(len(draws)), counts),
-        "gt_O": torch.cat([torch.as_tensor(draw.gt_N) for draw in draws]),
-        "center_O3": torch.cat([scene.center_N3 for scene in scenes]),
-        "size_O3": torch.cat([scene.size_N3 for scene in scenes]),
-        "score_O": torch.cat([scene.score_N for scene in scenes]),
-        "crop_OCXYZ": torch.cat([scene.crop_NCXYZ for scene in scenes]),
-        "image_OV3HW": torch.cat([_padded(scene.image_NV3HW, num_views) for scene in scenes]),
-        "camera_OV12": torch.cat([_padded(scene.camera_NV12, num_views) for scene in scenes]),
-        "view_OV": torch.cat([_padded(scene.view_NV, num_views) for scene in scenes]),
-        "radial_profile_ORD3": torch.cat([scene.radial_profile_NRD3 for scene in scenes]),
-        "com_offset_O3": torch.cat([scene.com_offset_N3 for scene in scenes]),
-        "true_radius_ORK": torch.cat([draw.truth[0] for draw in draws]),
-        "true_mass_O3": torch.cat([draw.truth[1] for draw in draws]),
-        "episode_D": torch.tensor([draw.episode_i for draw in draws]),
-        "setting_D": torch.tensor([settings.index(draw.setting) for draw in draws]),
-        "num_views_D": torch.tensor([len(draw.views) for draw in draws]),
-        "views_DV": torch.tensor(views, dtype=torch.int32).reshape(len(draws), num_views),
+        "observation_O": torch.repeat_interleave(torch.arange(len(scenes)), counts),
+        "gt_O": torch.cat([torch.as_tensor(each.gt_N) for each in observations]),
+        "gt_radius_ORD": torch.cat([each.gt_surface[0] for each in observations]),
+        "gt_com_offset_O3": torch.cat([each.gt_surface[1] for each in observations]),
+        "episode_U": torch.tensor([each.episode_i for each in observations]),
+        "setting_U": torch.tensor([settings.index(each.setting) for each in observations]),
+        "num_views_U": torch.tensor([len(each.views) for each in observations]),
+        "views_UV": torch.tensor(views, dtype=torch.int32).reshape(len(views), num_views),
     }
+    for name in FIELD_DTYPES:
+        fields = [getattr(scene, name) for scene in scenes]
+        if "_NV" in name:
+            fields = [_pad_views(field, num_views) for field in fields]
+        tensors[name.replace("_N", "_O")] = torch.cat(fields)
     return {name: tensors[name].to(dtype).contiguous() for name, dtype in DTYPES.items()}
 
 
-def joined(shards: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
-    """Shards of ``pack``, one after the other; draws are renumbered."""
-    first = np.cumsum([0, *(len(shard["episode_D"]) for shard in shards)])
-    moved = [
-        shard | {"draw_O": shard["draw_O"] + int(start)}
-        for shard, start in zip(shards, first, strict=False)
-    ]
-    return {name: torch.cat([shard[name] for shard in moved]) for name in DTYPES}
+def concatenate(shards: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+    """Concatenation of the results of ``pack``; observations are renumbered."""
+    start, renumbered = 0, []
+    for shard in shards:
+        renumbered.append(shard | {"observation_O": shard["observation_O"] + start})
+        start += len(shard["episode_U"])
+    return {name: torch.cat([shard[name] for shard in renumbered]) for name in DTYPES}
 
 
 def write_objects(path: Path, tensors: dict[str, Tensor], settings: Sequence[str]) -> None:
-    """Write packed tensors; ``settings`` are the names that ``setting_D`` counts."""
+    """Write packed tensors; ``settings`` are the names that ``setting_U`` indexes."""
     write_tensors(tensors, path, {"format": OBJECTS_FORMAT, "settings": json.dumps(list(settings))})
 
 
 def read_objects(path: Path) -> ObjectStore:
-    """Read a whole file. Raises ObjectsError: missing, unreadable, foreign, or tensors that do not
-    belong together.
-    """
+    """Read a whole file. Raises ObjectsError: missing, unreadable, or inconsistent."""
     tensors, about = read_tensors(path, OBJECTS_FORMAT, ObjectsError)
     if {name: value.dtype for name, value in tensors.items()} != DTYPES:
         raise ObjectsError(f"{path}: not an objects file of this version ({OBJECTS_FORMAT})")
-    counts = torch.bincount(tensors["draw_O"].long(), minlength=len(tensors["episode_D"]))
-    lengths = {len(tensors[name]) for name in DTYPES if "_O" in name}
-    if (
-        len(lengths) != 1
-        or len(counts) != len(tensors["episode_D"])
-        or (tensors["draw_O"].diff() < 0).any()
-    ):
-        raise ObjectsError(f"{path}: objects and draws do not belong together")
-    start_D = torch.cat([torch.zeros(1, dtype=torch.int64), counts.cumsum(0)])
-    return ObjectStore(tuple(json.loads(about["settings"])), tensors, start_D)
-
-
-def _padded(tensor_NV: Tensor, num_views: int) -> Tensor:
-    """Zeros for the views that do not exist."""
-    count, found = tensor_NV.shape[:2]
-    return torch.cat(
-        [tensor_NV, tensor_NV.new_zeros(count, num_views - found, *tensor_NV.shape[2:])], dim=1
+    observation_O, num_observations = tensors["observation_O"], len(tensors["episode_U"])
+    is_consistent = (
+        len({len(tensors[name]) for name in DTYPES if "_O" in name}) == 1
+        and bool((observation_O.diff() >= 0).all())
+        and not (observation_O < 0).any()
+        and not (observation_O >= num_observations).any()
     )
+    if not is_consistent:
+        raise ObjectsError(f"{path}: objects and observations do not belong together")
+    return ObjectStore(tuple(json.loads(about["settings"])), tensors)
+
+
+def _pad_views(tensor_NV: Tensor, num_views: int) -> Tensor:
+    """Zeros for the missing views."""
+    count, found = tensor_NV.shape[:2]
+    zeros = tensor_NV.new_zeros(count, num_views - found, *tensor_NV.shape[2:])
+    return torch.cat([tensor_NV, zeros], dim=1)

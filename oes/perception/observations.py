@@ -1,49 +1,47 @@
-"""The objects stage's work: perceive the first state of every episode under every setting, and
-score it at test.
+"""Work of the objects stage: perceive the first state of every episode under every setting.
 
-Views of test episodes are nested (two views are the one view and another), so that settings differ
-in nothing else.
+The views of test episodes are nested (two views are the one view and another), so that settings
+differ in nothing else.
 """
 
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
-from joblib import Parallel, delayed
-from numpy.typing import NDArray
-from safetensors.torch import load_file
 from torch import Tensor
-from tqdm import tqdm
 
 from oes.config import params
-from oes.geom.boxes import support_height
+from oes.episode import Ints
 from oes.meshes.catalogue import TRAIN
 from oes.objects import Objects
 from oes.perception.evaluate import (
     PerceptionRow,
     detection_rows,
+    gt_objects,
     match_detections,
-    true_objects,
     view_row,
 )
 from oes.perception.gt_profiles import GroundTruthProfiles
 from oes.perception.network import SceneFeatures
-from oes.perception.objects_file import Observation, joined, pack
+from oes.perception.objects_file import OBJECTS_FORMAT, ObjectsError, Observation, concatenate, pack
 from oes.perception.perceiver import Perceiver
 from oes.perception.samples import Source
 from oes.perception.solids import Solids
-from oes.training.tensor_io import write_tensors
+from oes.perception.surface import support_points
+from oes.progress import resumable_map
+from oes.training.tensor_io import read_tensors, write_tensors
 
-FIXED, TRUE, JITTERED, PREDICTED = "fixed", "true", "jittered", "found"
+FIXED, GT, JITTERED, PREDICTED = "fixed", "gt", "jittered", "predicted"
 SCORED_VIEWS = (1, 3)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How many random views (``FIXED``: the one nominal camera), and which boxes."""
+    """Number of random views (``FIXED``: the fixed camera) and kind of boxes."""
 
     views: int | str
     boxes: str
@@ -56,8 +54,8 @@ TRAIN_SETTINGS = {
     "fixed": Setting(FIXED, JITTERED),
 }
 TEST_SETTINGS = {
-    "3views_gt": Setting(3, TRUE),
-    "1view_gt": Setting(1, TRUE),
+    "3views_gt": Setting(3, GT),
+    "1view_gt": Setting(1, GT),
     "1view_pred": Setting(1, PREDICTED),
     "fixed_pred": Setting(FIXED, PREDICTED),
     "2views_pred": Setting(2, PREDICTED),
@@ -71,10 +69,10 @@ class ObjectsConfig:
     """The section ``objects`` of params.yaml.
 
     ``fixed_camera``: index of the camera of the fixed-view settings. Jitters are standard
-    deviations of the true boxes at training; ``train_draws``: how many sets of views an episode
-    gets under each training setting; ``test_settings``: those of a task's test splits (all, for a
-    split that is not named). ``num_workers`` processes (-1: one a core) share the work,
-    ``shard_episodes`` at a time; on a GPU one does it all.
+    deviations of the noise on ground-truth boxes at training. ``train_observations``: number of
+    random sets of views an episode gets under each training setting. ``test_settings``: those of a
+    task's test splits (all, for a split that is not named). ``num_workers`` processes (-1: one a
+    core; one on a GPU) take ``shard_episodes`` at a time.
     """
 
     seed: int
@@ -82,18 +80,17 @@ class ObjectsConfig:
     fixed_camera: int
     center_jitter_m: float
     size_jitter: float
-    train_draws: dict[str, int]
+    train_observations: dict[str, int]
     test_settings: dict[str, dict[str, tuple[str, ...]]]
     shard_episodes: int
     num_solid_points: int
 
     def __post_init__(self) -> None:
-        """Raises ValueError (a ParamsError when read from params.yaml) for an unknown or missing
-        setting.
-        """
-        if set(self.train_draws) != set(TRAIN_SETTINGS):
+        """Raises ValueError for an unknown or missing setting."""
+        if set(self.train_observations) != set(TRAIN_SETTINGS):
             raise ValueError(
-                f"train_draws: expected exactly {', '.join(TRAIN_SETTINGS)}; found {dict(self.train_draws)}"
+                f"train_observations: expected exactly {', '.join(TRAIN_SETTINGS)}; "
+                f"found {dict(self.train_observations)}"
             )
         for task, splits in self.test_settings.items():
             for split, names in splits.items():
@@ -104,96 +101,78 @@ class ObjectsConfig:
                     )
 
     def settings(self, task: str, split: str) -> dict[str, Setting]:
-        """Those of a split, in their order."""
+        """The settings of a split, in their order."""
         if split == TRAIN:
             return TRAIN_SETTINGS
-        asked = self.test_settings.get(task, {}).get(split, tuple(TEST_SETTINGS))
-        return {name: setting for name, setting in TEST_SETTINGS.items() if name in asked}
+        chosen = self.test_settings.get(task, {}).get(split, tuple(TEST_SETTINGS))
+        return {name: setting for name, setting in TEST_SETTINGS.items() if name in chosen}
 
 
 @dataclass(frozen=True)
 class ScenePerceiver:
-    """Perceives the episodes of one split under ``settings``; ``solids`` scores the masks of a test
-    split, None for training.
-    """
+    """Perceives the episodes of one split; ``solids`` (test splits only) serve to score masks."""
 
     cfg: ObjectsConfig
     settings: dict[str, Setting]
     perceiver: Perceiver
     source: Source
-    shells: GroundTruthProfiles
+    gt_profiles: GroundTruthProfiles
     solids: Solids | None
 
-    def episode(
+    def perceive(
         self, episode_i: int
     ) -> tuple[list[Observation], list[PerceptionRow], list[PerceptionRow]]:
-        """Draws of one episode and, at test, the rows of detections.csv and views.csv."""
+        """Observations of one episode and, at test, the rows of detections.csv and views.csv."""
         rng = np.random.default_rng((self.cfg.seed, episode_i))
-        draws: list[Observation] = []
+        observations: list[Observation] = []
         detections: list[PerceptionRow] = []
         predictions: list[PerceptionRow] = []
-        every_camera = range(len(self.source.episodes[episode_i].steps[0].cameras))
-        order = rng.permutation(every_camera).tolist()
-        every_frame, rig = self.source.read(episode_i, 0, every_camera)
-        for views, names in self._plan(order):
-            frames, cameras = every_frame.of(views), [rig[camera_i] for camera_i in views]
+        episode = self.source.episodes[episode_i]
+        camera_is = range(len(episode.steps[0].cameras))
+        order = rng.permutation(camera_is).tolist()
+        all_frames, all_cameras = self.source.read(episode_i, 0, camera_is)
+        for views, names in self._view_sets(order):
+            frames, cameras = all_frames.of(views), [all_cameras[i] for i in views]
             scene = self.perceiver.encode(frames, cameras)
             for name in names:
-                centers, sizes, scores, gt_N = self._boxes(
-                    self.settings[name].boxes, scene, episode_i, rng
-                )
-                objects = self.perceiver.objects(scene, centers, sizes, scores, frames, cameras)
-                draws.append(
-                    Observation(
-                        episode_i,
-                        name,
-                        tuple(views),
-                        objects,
-                        gt_N,
-                        self._truth(episode_i, objects, gt_N),
-                    )
+                boxes, gt_N = self._boxes(self.settings[name].boxes, scene, episode_i, rng)
+                objects = self.perceiver.objects(scene, *boxes, frames, cameras)
+                surface = self._gt_surface(episode_i, objects, gt_N)
+                observations.append(
+                    Observation(episode_i, name, tuple(views), objects, gt_N, surface)
                 )
             if self.solids is not None and self.settings[names[0]].views in SCORED_VIEWS:
-                seen: PerceptionRow = {"episode": episode_i, "step": 0, "num_views": len(views)}
-                truth = true_objects(self.source.episodes[episode_i], 0, self.solids)
-                detections += [seen | row for row in detection_rows(self.perceiver, scene, truth)]
+                key: PerceptionRow = {"episode": episode_i, "step": 0, "num_views": len(views)}
+                truth = gt_objects(episode, 0, self.solids)
+                detections += [key | row for row in detection_rows(self.perceiver, scene, truth)]
+                # The last camera belongs to no set of views, so its image is unknown.
                 query_i = order[-1]
-                row = view_row(self.perceiver, scene, every_frame.of([query_i]), rig[query_i])
-                predictions.append(seen | {"camera": query_i} | row)
-        return draws, detections, predictions
+                query = all_frames.of([query_i]), all_cameras[query_i]
+                row = view_row(self.perceiver, scene, *query)
+                predictions.append(key | {"camera": query_i} | row)
+        return observations, detections, predictions
 
-    def _truth(
-        self, episode_i: int, objects: Objects, gt_N: NDArray[np.int64]
-    ) -> tuple[Tensor, Tensor]:
-        """True outlines' radii NRK and centres of mass N3 of perceived objects, from their
-        perceived centres.
-        """
-        radius_NRK = torch.full(objects.radial_profile_NRD3.shape[:-1], torch.nan)
-        mass_N3 = torch.full_like(objects.center_N3, torch.nan)
-        found = np.flatnonzero(gt_N >= 0)
-        foot_N3 = objects.center_N3.clone()
-        foot_N3[:, 2] = support_height(objects.center_N3, objects.size_N3)
-        true_radius, true_mass = self.shells.outlines(
-            self.source.episodes[episode_i],
-            0,
-            foot_N3[found].double().numpy(),
-            gt_N[found].tolist(),
+    def _gt_surface(self, episode_i: int, objects: Objects, gt_N: Ints) -> tuple[Tensor, Tensor]:
+        """``Observation.gt_surface``."""
+        radius_NRD = torch.full(objects.radial_profile_NRD3.shape[:-1], torch.nan)
+        com_N3 = torch.full_like(objects.center_N3, torch.nan)
+        matched = np.flatnonzero(gt_N >= 0)
+        support_N3 = support_points(objects.center_N3, objects.size_N3)[matched].double().numpy()
+        radius, com = self.gt_profiles.of_state(
+            self.source.episodes[episode_i], 0, support_N3, gt_N[matched].tolist()
         )
-        radius_NRK[found], mass_N3[found] = (
-            torch.from_numpy(true_radius).float(),
-            torch.from_numpy(true_mass).float(),
-        )
-        return radius_NRK, mass_N3 - objects.center_N3
+        radius_NRD[matched] = torch.from_numpy(radius).float()
+        com_N3[matched] = torch.from_numpy(com).float()
+        return radius_NRD, com_N3 - objects.center_N3
 
-    def _plan(self, order: Sequence[int]) -> Iterator[tuple[list[int], list[str]]]:
-        """The sets of views to encode, each with the settings that use it. ``order``: cameras, the
-        last the query.
-        """
+    def _view_sets(self, order: Sequence[int]) -> Iterator[tuple[list[int], list[str]]]:
+        """Sets of views to encode, each with the settings that use it; ``order`` of the cameras."""
         if self.solids is None:
             left = list(order)
-            for name, count in self.cfg.train_draws.items():
+            for name, count in self.cfg.train_observations.items():
                 for _ in range(count):
                     views = self._views(self.settings[name], left)
+                    # Used cameras go to the end, so that sets share as few as possible.
                     left = [*left[len(views) :], *views]
                     yield views, [name]
             return
@@ -204,70 +183,56 @@ class ScenePerceiver:
             yield self._views(self.settings[names[0]], order), names
 
     def _views(self, setting: Setting, order: Sequence[int]) -> list[int]:
-        return (
-            list(order[: setting.views])
-            if isinstance(setting.views, int)
-            else [self.cfg.fixed_camera]
-        )
+        if isinstance(setting.views, str):
+            return [self.cfg.fixed_camera]
+        return list(order[: setting.views])
 
     def _boxes(
-        self, boxes: str, scene: SceneFeatures, episode_i: int, rng: np.random.Generator
-    ) -> tuple[Tensor, Tensor, Tensor, NDArray[np.int64]]:
-        """Centres N3, sizes N3, scores N and the true object of each (-1: none)."""
+        self, kind: str, scene: SceneFeatures, episode_i: int, rng: np.random.Generator
+    ) -> tuple[tuple[Tensor, Tensor, Tensor], Ints]:
+        """Centres N3, sizes N3, scores N; the ground-truth object N of each (-1: none)."""
         step = self.source.episodes[episode_i].steps[0]
-        if boxes == PREDICTED:
+        center_N3, size_N3, cfg = step.center_N3, step.size_N3, self.cfg
+        if kind == PREDICTED:
             centers, sizes, scores = (value.float().cpu() for value in self.perceiver.detect(scene))
-            return (
-                centers,
-                sizes,
-                scores,
-                match_detections(centers.double().numpy(), step.center_N3),
-            )
-        center_N3, size_N3 = step.center_N3, step.size_N3
-        if boxes == JITTERED:
-            center_N3 = center_N3 + rng.normal(0, self.cfg.center_jitter_m, center_N3.shape)
-            size_N3 = size_N3 * np.exp(rng.normal(0, self.cfg.size_jitter, size_N3.shape))
+            gt_N = match_detections(centers.double().numpy(), center_N3)
+            return (centers, sizes, scores), gt_N
+        if kind == JITTERED:
+            center_N3 = center_N3 + rng.normal(0, cfg.center_jitter_m, center_N3.shape)
+            size_N3 = size_N3 * np.exp(rng.normal(0, cfg.size_jitter, size_N3.shape))
         count = len(center_N3)
         centers, sizes = torch.from_numpy(center_N3).float(), torch.from_numpy(size_N3).float()
-        return centers, sizes, torch.ones(count), np.arange(count)
+        return (centers, sizes, torch.ones(count)), np.arange(count)
 
 
 def perceive_split(
-    observer: ScenePerceiver, progress: Path
+    scenes: ScenePerceiver, progress: Path
 ) -> tuple[dict[str, Tensor], list[PerceptionRow], list[PerceptionRow]]:
-    """All draws of a split, packed, and its rows. Finished shards of episodes are kept in
-    ``progress`` and reused.
+    """All observations of a split, packed, and its rows of detections.csv and views.csv.
+
+    Finished shards of episodes are kept in ``progress`` and reused.
     """
-    cfg, count = observer.cfg, len(observer.source.episodes)
-    starts = range(0, count, cfg.shard_episodes)
-    paths = [progress / f"shard_{start:06d}.safetensors" for start in starts]
-    shards = [
-        (range(s, min(s + cfg.shard_episodes, count)), path)
-        for s, path in zip(starts, paths, strict=True)
-    ]
-    jobs = [delayed(_write_shard)(observer, *shard) for shard in shards if not shard[1].exists()]
-    num_workers = cfg.num_workers if observer.perceiver.device.type == "cpu" else 1
-    done = Parallel(n_jobs=num_workers, return_as="generator_unordered")(jobs)
-    for _ in tqdm(done, total=len(jobs), desc="perceiving", unit="shard"):
-        pass
-    rows = [json.loads(path.with_suffix(".json").read_text()) for path in paths]
-    tensors = joined([load_file(path) for path in paths])
-    return (
-        tensors,
-        [row for detections, _ in rows for row in detections],
-        [row for _, views in rows for row in views],
-    )
+    cfg, count = scenes.cfg, len(scenes.source.episodes)
+    shards = {
+        progress / f"shard_{start:06d}.safetensors": range(
+            start, min(start + cfg.shard_episodes, count)
+        )
+        for start in range(0, count, cfg.shard_episodes)
+    }
+    num_workers = cfg.num_workers if scenes.perceiver.device.type == "cpu" else 1
+    write = partial(_write_shard, scenes)
+    resumable_map(write, shards, num_workers=num_workers, desc="perceiving", unit="shard")
+    found = [read_tensors(path, OBJECTS_FORMAT, ObjectsError) for path in shards]
+    rows = [json.loads(about["rows"]) for _, about in found]
+    detections, views = ([row for both in rows for row in both[i]] for i in (0, 1))
+    return concatenate([tensors for tensors, _ in found]), detections, views
 
 
-def _write_shard(observer: ScenePerceiver, episode_is: range, path: Path) -> None:
-    """One shard: the rows first, then the tensors, whole by rename: a shard with tensors is
-    complete.
-    """
-    found = [observer.episode(episode_i) for episode_i in episode_is]
+def _write_shard(scenes: ScenePerceiver, episode_is: range, path: Path) -> None:
+    found = [scenes.perceive(episode_i) for episode_i in episode_is]
+    observations = [each for parts in found for each in parts[0]]
     rows = [[row for parts in found for row in parts[kind]] for kind in (1, 2)]
-    path.with_suffix(".json").write_text(json.dumps(rows))
-    draws = [draw for parts in found for draw in parts[0]]
-    most = max(
-        setting.views for setting in observer.settings.values() if isinstance(setting.views, int)
-    )
-    write_tensors(pack(draws, list(observer.settings), most), path, {})
+    counts = [setting.views for setting in scenes.settings.values()]
+    num_views = max(count for count in counts if isinstance(count, int))
+    tensors = pack(observations, list(scenes.settings), num_views)
+    write_tensors(tensors, path, {"format": OBJECTS_FORMAT, "rows": json.dumps(rows)})

@@ -1,6 +1,4 @@
-"""Solid points of meshes: what posed objects fill, fast enough to voxelise every training sample
-anew.
-"""
+"""Point clouds of the solids of meshes, posed and voxelised for every training sample."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,36 +12,34 @@ from oes.episode import Body, Floats
 from oes.geom.se3 import transform
 from oes.meshes.catalogue import Catalogue
 
-PointCloud = NDArray[np.float32]
+MIN_SPACING_M = 0.003
 
 
 @dataclass(frozen=True)
 class Solids:
-    """P points for each catalogue mesh (obj frame, unit scale): hull corners, surface and interior.
-    ``skins``: points of its surface alone, with their unit normals.
+    """Points P3 of every catalogue mesh (obj frame, unit scale): hull corners, surface, interior.
+
+    ``surface_points``: points of the surface alone and their unit normals.
     """
 
-    points: Mapping[str, PointCloud]
-    skins: Mapping[str, tuple[Floats, Floats]]
+    points: Mapping[str, NDArray[np.float32]]
+    surface_points: Mapping[str, tuple[Floats, Floats]]
 
     def posed(self, body: Body, world_T_obj_44: Floats) -> Floats:
-        """The points of one body in the world, P3. Raises KeyError naming a mesh that the catalogue
-        lacks.
-        """
+        """World points P3 of one body. Raises KeyError for a mesh that is not in the catalogue."""
         if body.mesh not in self.points:
-            raise KeyError(
-                f"mesh {body.mesh!r} is not in the catalogue ({len(self.points)} meshes)"
-            )
+            count = len(self.points)
+            raise KeyError(f"mesh {body.mesh!r} is not in the catalogue ({count} meshes)")
         return transform(world_T_obj_44, self.points[body.mesh] * body.scale_3)
 
     def surface(self, body: Body, world_T_obj_44: Floats) -> tuple[Floats, Floats]:
-        """Points of one body's surface in the world and their outward unit normals, P3 each."""
-        points_P3, normal_P3 = self.skins[body.mesh]
+        """World points P3 of one body's surface and their outward unit normals P3."""
+        points_P3, normal_P3 = self.surface_points[body.mesh]
+        # Normals transform by the inverse transpose of the scaling.
         scaled_P3 = normal_P3 / body.scale_3
         unit_P3 = scaled_P3 / np.linalg.norm(scaled_P3, axis=-1, keepdims=True)
-        return transform(world_T_obj_44, points_P3 * body.scale_3), unit_P3 @ world_T_obj_44[
-            :3, :3
-        ].T
+        world_P3 = transform(world_T_obj_44, points_P3 * body.scale_3)
+        return world_P3, unit_P3 @ world_T_obj_44[:3, :3].T
 
 
 def solids_of(catalogue: Catalogue, count: int) -> Solids:
@@ -56,44 +52,41 @@ def solids_of(catalogue: Catalogue, count: int) -> Solids:
 
 
 def sample_surface(visual: trimesh.Trimesh, count: int) -> tuple[Floats, Floats]:
-    """``count`` points of a surface and the unit normals of their faces, count x 3 each."""
+    """``count`` points P3 of a surface and the unit normals P3 of their faces."""
     points_P3, face_P = trimesh.sample.sample_surface(visual, count, seed=0)
     return np.asarray(points_P3), np.asarray(visual.face_normals[face_P])
 
 
 def solid_points(
     visual: trimesh.Trimesh, parts: tuple[trimesh.Trimesh, ...], count: int, seed: int
-) -> PointCloud:
-    """``count`` points of a solid, count x 3: half of them inside, the rest its hull's corners and
-    its surface.
+) -> NDArray[np.float32]:
+    """``count`` points P3 of a solid: half of them inside, the rest hull corners and surface.
 
-    Dense enough that every 1 cm voxel that a 15 cm object fills holds one, thin walls included. The
-    inside of a mesh that is not watertight is that of its convex parts.
+    The interior of a mesh that is not watertight is that of its convex ``parts``.
     """
     rng = np.random.default_rng(seed)
     corners = np.asarray(visual.vertices)[ConvexHull(visual.vertices, qhull_options="QJ").vertices]
     corners = corners[: count // 4]
-    inner = _inside(visual, parts, count // 2)
+    inner = _interior_points(visual, parts, count // 2)
     if len(inner) > count // 2:
         inner = rng.permutation(inner)[: count // 2]
     surface, _ = trimesh.sample.sample_surface(visual, count - len(inner) - len(corners), seed=seed)
     return np.concatenate([corners, inner, surface]).astype(np.float32)
 
 
-def _inside(visual: trimesh.Trimesh, parts: tuple[trimesh.Trimesh, ...], count: int) -> Floats:
-    """About ``count`` lattice points inside the solid, at most 6 mm apart where the count
-    allows.
-    """
+def _interior_points(
+    visual: trimesh.Trimesh, parts: tuple[trimesh.Trimesh, ...], count: int
+) -> Floats:
+    """About ``count`` points P3 of a regular lattice inside the solid."""
     volume = abs(visual.volume) if visual.is_watertight else sum(abs(part.volume) for part in parts)
-    spacing = max((volume / count) ** (1 / 3), 0.003)
+    # The lattice is no denser than needed: every voxel of 1 cm inside holds a point.
+    spacing = max((volume / count) ** (1 / 3), MIN_SPACING_M)
     axes = [np.arange(low + spacing / 2, high, spacing) for low, high in visual.bounds.T]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     if visual.is_watertight:
         return lattice[visual.contains(lattice)]
-    return lattice[np.logical_or.reduce([_in_convex(part, lattice) for part in parts])]
-
-
-def _in_convex(part: trimesh.Trimesh, points_P3: Floats) -> NDArray[np.bool_]:
-    equations = ConvexHull(part.vertices, qhull_options="QJ").equations
-    outside = (points_P3 @ equations[:, :3].T + equations[:, 3] > 1e-9).any(axis=1)
-    return np.asarray(~outside, dtype=np.bool_)
+    is_inside = np.zeros(len(lattice), dtype=bool)
+    for part in parts:
+        planes = ConvexHull(part.vertices, qhull_options="QJ").equations
+        is_inside |= (lattice @ planes[:, :3].T + planes[:, 3] <= 1e-9).all(axis=1)
+    return lattice[is_inside]

@@ -13,7 +13,7 @@ from oes.perception.evaluate import (
     PerceptionRow,
     detection_rows,
     detection_summary,
-    true_objects,
+    gt_objects,
     view_row,
 )
 from oes.perception.gt_profiles import GroundTruthProfiles
@@ -63,7 +63,7 @@ def train_perception(
     cfg: PerceptionConfig,
     source: Source,
     solids: Solids,
-    shells: GroundTruthProfiles,
+    gt_profiles: GroundTruthProfiles,
     work: Path,
     device: torch.device,
 ) -> tuple[Perceiver, list[dict[str, float]], list[dict[str, float]]]:
@@ -100,7 +100,7 @@ def train_perception(
     return (
         perceiver,
         rows,
-        train_surface(perceiver, source, shells, cfg.surface, episode_is, work / "surface"),
+        train_surface(perceiver, source, gt_profiles, cfg.surface, episode_is, work / "surface"),
     )
 
 
@@ -133,7 +133,7 @@ def validation_metrics(
             len(source.episodes[episode_i].steps[0].cameras), 2, replace=False
         ).tolist()
         scene = perceiver.encode(*source.read(episode_i, 0, [camera_i]))
-        truth = true_objects(source.episodes[episode_i], 0, solids)
+        truth = gt_objects(source.episodes[episode_i], 0, solids)
         rows += [row | {"episode": episode_i} for row in detection_rows(perceiver, scene, truth)]
         frames, (camera,) = source.read(episode_i, 0, [query_i])
         views.append(view_row(perceiver, scene, frames, camera))

@@ -76,7 +76,9 @@ class Session:
     def render(self, case: Scenario, motion: ObjectMotion, T: int, camera: Camera) -> Pixels:
         """The forecast at T, rendered for a camera."""
         near = compose(self.still, motion.poses(case.poses, T))
-        image: Pixels = self.perceiver.look(near, self.still.far_field, [camera]).rgb_VHW3[0]
+        image: Pixels = self.perceiver.render_fields(near, self.still.far_field, [camera]).rgb_VHW3[
+            0
+        ]
         return image
 
     def error_mm(self, case: Scenario, motion: ObjectMotion, happened: Episode, T: int) -> float:

@@ -15,14 +15,14 @@ from oes.perception.network import PerceptionNet
 from oes.perception.objects_file import (
     ObjectsError,
     Observation,
-    joined,
+    concatenate,
     pack,
     read_objects,
     write_objects,
 )
 from oes.perception.observations import TEST_SETTINGS, ObjectsConfig, ScenePerceiver, perceive_split
 from oes.perception.perceiver import Perceiver
-from tests.percept_scenes import BoxWorld, box_shells, box_solids, small_network
+from tests.percept_scenes import BoxWorld, box_gt_profiles, box_solids, small_network
 
 CFG = ObjectsConfig(
     seed=0,
@@ -30,7 +30,7 @@ CFG = ObjectsConfig(
     fixed_camera=2,
     center_jitter_m=0.01,
     size_jitter=0.1,
-    train_draws={"train1": 2, "train2": 1, "train3": 0, "fixed": 1},
+    train_observations={"train1": 2, "train2": 1, "train3": 0, "fixed": 1},
     test_settings={"pushing": {"test1": ("1view_pred", "1view_gt")}},
     shard_episodes=2,
     num_solid_points=2048,
@@ -52,42 +52,44 @@ def random_objects(count: int, num_views: int) -> Objects:
     )
 
 
-def surfaces(count: int) -> tuple[Tensor, Tensor]:
+def gt_surface(count: int) -> tuple[Tensor, Tensor]:
     return torch.full((count, 6, 32), 0.03), torch.zeros(count, 3)
 
 
-def observer(world: BoxWorld, *, is_train: bool) -> ScenePerceiver:
+def make_perceiver(world: BoxWorld, *, is_train: bool) -> ScenePerceiver:
     torch.manual_seed(0)
-    seer = Perceiver(PerceptionNet(small_network()), torch.device("cpu"))
+    perceiver = Perceiver(PerceptionNet(small_network()), torch.device("cpu"))
     settings = CFG.settings("pushing", TRAIN if is_train else "test2")
     return ScenePerceiver(
-        CFG, settings, seer, world, box_shells(), None if is_train else box_solids()
+        CFG, settings, perceiver, world, box_gt_profiles(), None if is_train else box_solids()
     )
 
 
-def test_draws_come_back_as_written_even_those_without_objects(tmp_path: Path) -> None:
-    draws = [
-        Observation(4, "b", (7, 3), random_objects(2, 2), np.array([1, -1]), surfaces(2)),
-        Observation(4, "a", (5,), random_objects(0, 1), np.zeros(0, dtype=np.int64), surfaces(0)),
-        Observation(6, "b", (1,), random_objects(1, 1), np.array([0]), surfaces(1)),
+def test_observations_come_back_as_written_even_those_without_objects(tmp_path: Path) -> None:
+    observations = [
+        Observation(4, "b", (7, 3), random_objects(2, 2), np.array([1, -1]), gt_surface(2)),
+        Observation(4, "a", (5,), random_objects(0, 1), np.zeros(0, dtype=np.int64), gt_surface(0)),
+        Observation(6, "b", (1,), random_objects(1, 1), np.array([0]), gt_surface(1)),
     ]
-    shards = [pack(draws[:2], ["a", "b"], 3), pack(draws[2:], ["a", "b"], 3)]
-    write_objects(tmp_path / "o.safetensors", joined(shards), ["a", "b"])
+    shards = [pack(observations[:2], ["a", "b"], 3), pack(observations[2:], ["a", "b"], 3)]
+    write_objects(tmp_path / "o.safetensors", concatenate(shards), ["a", "b"])
     store = read_objects(tmp_path / "o.safetensors")
-    assert store.draws("b") == [0, 2] and store.draws("a") == [1] and len(store) == 3
+    assert store.observations("b") == [0, 2] and store.observations("a") == [1] and len(store) == 3
     assert [store.episode(i) for i in range(3)] == [4, 4, 6] and store.views(0) == (7, 3)
-    for draw_i, draw in enumerate(draws):
-        objects, gt_N = store.scene(draw_i)
-        num_views = len(draw.views)
-        assert gt_N.tolist() == draw.gt_N.tolist()
-        torch.testing.assert_close(objects.crop_NCXYZ, draw.objects.crop_NCXYZ)
-        torch.testing.assert_close(objects.image_NV3HW[:, :num_views], draw.objects.image_NV3HW)
+    for observation_i, observation in enumerate(observations):
+        objects, gt_N = store.scene(observation_i)
+        num_views = len(observation.views)
+        assert gt_N.tolist() == observation.gt_N.tolist()
+        torch.testing.assert_close(objects.crop_NCXYZ, observation.objects.crop_NCXYZ)
+        torch.testing.assert_close(
+            objects.image_NV3HW[:, :num_views], observation.objects.image_NV3HW
+        )
         assert (
-            objects.view_NV.sum() == len(draw.gt_N) * num_views
+            objects.view_NV.sum() == len(observation.gt_N) * num_views
             and not objects.view_NV[:, num_views:].any()
         )
     with pytest.raises(ObjectsError, match="there are: a, b"):
-        store.draws("c")
+        store.observations("c")
 
 
 def test_files_that_are_no_objects_are_refused_by_name(tmp_path: Path) -> None:
@@ -98,46 +100,54 @@ def test_files_that_are_no_objects_are_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(ObjectsError, match="its format is None"):
         read_objects(path)
     tensors = pack(
-        [Observation(0, "a", (1,), random_objects(2, 1), np.array([0, 1]), surfaces(2))], ["a"], 1
+        [Observation(0, "a", (1,), random_objects(2, 1), np.array([0, 1]), gt_surface(2))], ["a"], 1
     )
     write_objects(path, tensors | {"score_O": torch.zeros(1)}, ["a"])
     with pytest.raises(ObjectsError, match="do not belong together"):
         read_objects(path)
 
 
-def test_training_draws_are_the_true_boxes_jittered_from_views_of_their_own() -> None:
+def test_training_observations_are_jittered_true_boxes_from_views_of_their_own() -> None:
     world = BoxWorld(1)
-    draws, detections, predictions = observer(world, is_train=True).episode(0)
+    observations, detections, predictions = make_perceiver(world, is_train=True).perceive(0)
     true = world.episodes[0].steps[0].center_N3
-    assert [draw.setting for draw in draws] == ["train1", "train1", "train2", "fixed"]
+    assert [observation.setting for observation in observations] == [
+        "train1",
+        "train1",
+        "train2",
+        "fixed",
+    ]
     assert (
-        draws[3].views == (2,)
-        and draws[0].views != draws[1].views
-        and len(set(draws[2].views)) == 2
+        observations[3].views == (2,)
+        and observations[0].views != observations[1].views
+        and len(set(observations[2].views)) == 2
     )
-    for draw in draws:
-        shift = draw.objects.center_N3.numpy() - true
-        assert 0 < np.abs(shift).max() < 0.05 and draw.gt_N.tolist() == list(range(len(true)))
+    for observation in observations:
+        shift = observation.objects.center_N3.numpy() - true
+        assert 0 < np.abs(shift).max() < 0.05 and observation.gt_N.tolist() == list(
+            range(len(true))
+        )
     assert detections == [] and predictions == []
 
 
-def test_a_split_is_seen_under_the_settings_asked_for_and_as_with_all(tmp_path: Path) -> None:
-    world, every = BoxWorld(1), observer(BoxWorld(1), is_train=False)
+def test_a_split_is_perceived_under_its_settings_as_it_is_under_all(tmp_path: Path) -> None:
+    world, every = BoxWorld(1), make_perceiver(BoxWorld(1), is_train=False)
     few = replace(every, settings=CFG.settings("pushing", "test1"))
     assert list(CFG.settings("falling", "test1")) == list(TEST_SETTINGS)
-    draws, detections, _ = few.episode(0)
-    assert [draw.setting for draw in draws] == ["1view_gt", "1view_pred"]
-    of_all = {draw.setting: draw for draw in every.episode(0)[0]}
-    for draw in draws:
-        assert draw.views == of_all[draw.setting].views
+    observations, detections, _ = few.perceive(0)
+    assert [observation.setting for observation in observations] == ["1view_gt", "1view_pred"]
+    of_all = {observation.setting: observation for observation in every.perceive(0)[0]}
+    for observation in observations:
+        assert observation.views == of_all[observation.setting].views
         assert torch.equal(
-            draw.objects.radial_profile_NRD3, of_all[draw.setting].objects.radial_profile_NRD3
+            observation.objects.radial_profile_NRD3,
+            of_all[observation.setting].objects.radial_profile_NRD3,
         )
     assert {row["num_views"] for row in detections} == {1}
     tensors, _, _ = perceive_split(replace(few, source=world), tmp_path)
     write_objects(tmp_path / "o.safetensors", tensors, list(few.settings))
     with pytest.raises(ObjectsError, match="there are: 1view_gt, 1view_pred"):
-        read_objects(tmp_path / "o.safetensors").draws("3views_gt")
+        read_objects(tmp_path / "o.safetensors").observations("3views_gt")
     with pytest.raises(
         ValueError, match=r"test_settings.pushing.test1: unknown 9views; there are: 3views_gt"
     ):
@@ -146,12 +156,14 @@ def test_a_split_is_seen_under_the_settings_asked_for_and_as_with_all(tmp_path: 
 
 def test_at_test_views_are_nested_and_every_object_is_accounted_for() -> None:
     world = BoxWorld(1)
-    draws, detections, predictions = observer(world, is_train=False).episode(0)
-    views = {draw.setting: draw.views for draw in draws}
+    observations, detections, predictions = make_perceiver(world, is_train=False).perceive(0)
+    views = {observation.setting: observation.views for observation in observations}
     assert set(views) == set(TEST_SETTINGS)
     assert views["1view_gt"] == views["1view_pred"] == views["5views_pred"][:1]
     assert views["3views_gt"] == views["5views_pred"][:3]
-    exact = next(draw for draw in draws if draw.setting == "3views_gt").objects.center_N3
+    exact = next(
+        observation for observation in observations if observation.setting == "3views_gt"
+    ).objects.center_N3
     np.testing.assert_allclose(exact, world.episodes[0].steps[0].center_N3, atol=1e-6)
     for num_views in (1, 3):
         rows = [row for row in detections if row["num_views"] == num_views]
@@ -161,11 +173,11 @@ def test_at_test_views_are_nested_and_every_object_is_accounted_for() -> None:
 
 
 def test_finished_shards_are_not_perceived_again(tmp_path: Path) -> None:
-    whole = perceive_split(observer(BoxWorld(3), is_train=True), tmp_path)[0]
-    assert len(whole["episode_D"]) == 3 * 4 and set(whole["episode_D"].tolist()) == {0, 1, 2}
+    whole = perceive_split(make_perceiver(BoxWorld(3), is_train=True), tmp_path)[0]
+    assert len(whole["episode_U"]) == 3 * 4 and set(whole["episode_U"].tolist()) == {0, 1, 2}
     (tmp_path / "shard_000002.safetensors").unlink()
     stamp = (tmp_path / "shard_000000.safetensors").stat().st_mtime_ns
-    again = perceive_split(observer(BoxWorld(3), is_train=True), tmp_path)[0]
+    again = perceive_split(make_perceiver(BoxWorld(3), is_train=True), tmp_path)[0]
     assert (tmp_path / "shard_000000.safetensors").stat().st_mtime_ns == stamp
     for name, value in whole.items():
         torch.testing.assert_close(again[name], value, msg=name)
