@@ -80,6 +80,12 @@ class ScoredPlans:
     cost_S: Tensor
     stop_S: Tensor
 
+    def truncated(self, rows: Tensor) -> Candidates:
+        """Some candidates, cut after the last of their cheapest steps: later ones are not used."""
+        chosen = map_tensors(self.candidates, lambda x: x[rows])
+        steps = int(self.stop_S[rows].max()) + 1
+        return replace(chosen, actions_ST3=chosen.actions_ST3[:, :steps])
+
     def plan(self, i: int) -> Plan:
         """Candidate ``i`` up to its cheapest step."""
         steps = int(self.stop_S[i]) + 1
@@ -108,7 +114,9 @@ def search(
     for _ in range(iterations):
         scored = _score(propose(elites_SC), unroll, cost)
         if risk is not None:
-            scored = _rerank(scored, unroll, cost, risk)
+            top = scored.cost_S.argsort()[: risk.num_reranked]
+            candidates, stop_S = scored.truncated(top), scored.stop_S[top]
+            scored = _score(candidates, unroll, cost, risk, stop_S)
         order = scored.cost_S.argsort()[:num_elites]
         if best is None or scored.cost_S[order[0]] < best.cost:
             best = scored.plan(int(order[0]))
@@ -118,36 +126,24 @@ def search(
     return best
 
 
-def _score(candidates: Candidates, unroll: Unroll, cost: Cost) -> ScoredPlans:
-    rollouts = unroll(candidates, 1)
-    return _cheapest_step(candidates, rollouts, cost(rollouts))
-
-
-def _rerank(scored: ScoredPlans, unroll: Unroll, cost: Cost, risk: RiskConfig) -> ScoredPlans:
-    """The cheapest plans of a nominal scoring, scored again over samples of the future."""
-    top = scored.cost_S.argsort()[: risk.num_reranked]
-    stop_S = scored.stop_S[top]
-    candidates = map_tensors(scored.candidates, lambda x: x[top])
-    # No plan is unrolled past the last of the nominal stops: later steps cannot be chosen.
-    steps = int(stop_S.max()) + 1
-    candidates = replace(candidates, actions_ST3=candidates.actions_ST3[:, :steps])
-    rollouts = unroll(candidates, risk.num_samples)
-    cost_ST = risk_adjusted(cost(rollouts), rollouts.num_samples, risk.risk_weight)
-    is_late_ST = torch.arange(steps) > stop_S[:, None]
-    return _cheapest_step(candidates, rollouts, cost_ST, is_late_ST)
-
-
-def _cheapest_step(
+def _score(
     candidates: Candidates,
-    rollouts: Rollouts,
-    cost_ST: Tensor,
-    is_excluded_ST: Tensor | None = None,
+    unroll: Unroll,
+    cost: Cost,
+    risk: RiskConfig | None = None,
+    stop_S: Tensor | None = None,
 ) -> ScoredPlans:
+    """Nominal scores, or risk-adjusted ones. Plan i must stop by step ``stop_S[i]`` (from 0)."""
+    rollouts = unroll(candidates, risk.num_samples if risk else 1)
+    cost_ST = cost(rollouts)
+    if risk:
+        cost_ST = risk_adjusted(cost_ST, rollouts.num_samples, risk.risk_weight)
     # A diverged model predicts NaN: its plans are never chosen.
     cost_ST = torch.nan_to_num(cost_ST, nan=torch.inf)
     assert cost_ST.shape == candidates.actions_ST3.shape[:2], cost_ST.shape
-    if is_excluded_ST is not None:
-        cost_ST = cost_ST.masked_fill(is_excluded_ST, torch.inf)
+    if stop_S is not None:
+        is_late_ST = torch.arange(cost_ST.shape[1]) > stop_S[:, None]
+        cost_ST = cost_ST.masked_fill(is_late_ST, torch.inf)
     return ScoredPlans(candidates, rollouts, *cost_ST.min(dim=1))
 
 
