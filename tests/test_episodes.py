@@ -13,7 +13,8 @@ import pytest
 from oes.config import load
 from oes.episode import Episode
 from oes.episodes.capture import Failure, capture_split, episode_folder
-from oes.episodes.dataset_card import displacement_mm, has_object_contact, statistics, write_card
+from oes.episodes.dataset_card import statistics, write_card
+from oes.episodes.motion import displacement_mm, has_object_contact
 from oes.geom.boxes import aabb
 from oes.geom.se3 import transform
 from oes.meshes.catalogue import Catalogue
@@ -125,7 +126,7 @@ def test_unknown_tasks_and_impossible_scenes_are_refused(catalogue: Catalogue) -
         simulate(catalogue, CFG, "juggling", "train", 0)
     with pytest.raises(KeyError, match="test9"):
         simulate(catalogue, CFG, "pushing", "test9", 0)
-    crowded = replace(CFG.pushes, scatter=replace(CFG.pushes.scatter, rim_m=0.05))
+    crowded = replace(CFG.pushes, scatter=replace(CFG.pushes.scatter, table_edge_m=0.05))
     with pytest.raises(SceneRejected, match="2 attempts failed; the last: no room"):
         simulate(catalogue, replace(CFG, max_attempts=2, pushes=crowded), "pushing", "test2", 0)
 

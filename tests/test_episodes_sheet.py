@@ -13,18 +13,9 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from oes.episode import Episode
-from oes.episodes.dataset_card import displacement_mm
 from oes.episodes.index import write_index
-from oes.episodes.sheet import (
-    COLOURS,
-    charts,
-    contact_pairs,
-    depth_image,
-    draw_boxes,
-    main,
-    mosaic,
-    seg_image,
-)
+from oes.episodes.motion import contact_pairs, displacement_mm
+from oes.episodes.sheet import COLOURS, charts, depth_image, draw_boxes, main, mosaic, seg_image
 from oes.record import EpisodeError, read_episode, write_episode
 from oes.record.dataset import read_states
 from tests.factories import make_episode, make_frames

@@ -11,7 +11,8 @@ import trimesh
 from oes.config import load
 from oes.episode import SEG_FIRST_OBJECT, SEG_ROBOT, Episode
 from oes.episodes.capture import capture_split, episode_folder
-from oes.episodes.dataset_card import impact_T, statistics, write_card
+from oes.episodes.dataset_card import statistics, write_card
+from oes.episodes.motion import impact_T
 from oes.episodes.sheet import write_sheet
 from oes.geom.se3 import transform
 from oes.meshes.catalogue import BLOCK, Catalogue, CatalogueError, save_catalogue, write_mesh

@@ -13,14 +13,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from oes.episode import SEG_FIRST_OBJECT, Episode, Floats
+from oes.episode import Episode, Floats
 from oes.episodes.capture import Failure
-from oes.metrics.errors import rotation_deg, translation_mm
+from oes.episodes.motion import displacement_mm, has_object_contact, impact_T, rotation_deg
 from oes.sim.simulate import EpisodesConfig, count_rejected
 
 HORIZONS = (1, 3, 5)
 MOVED_MM = 10.0
-FIRST_OBJECT = SEG_FIRST_OBJECT - 1  # row of Step.contact_AA, which has none for "nothing"
 INK, COLOURS = "#22262b", ("#0072b2", "#e69f00", "#009e73")
 
 
@@ -71,7 +70,7 @@ def statistics(
     first = episodes[0]
     horizons = [T for T in HORIZONS if T < len(first.steps)]
     moved_mm = {str(T): [displacement_mm(episode, T) for episode in episodes] for T in horizons}
-    turned_deg = {str(T): [_rotation_deg(episode, T) for episode in episodes] for T in horizons}
+    turned_deg = {str(T): [rotation_deg(episode, T) for episode in episodes] for T in horizons}
     all_mm = {T: np.concatenate(values) for T, values in moved_mm.items()}
     most_mm = {T: np.array([value.max() for value in values]) for T, values in moved_mm.items()}
     return DatasetCard(
@@ -93,38 +92,12 @@ def statistics(
     )
 
 
-def displacement_mm(episode: Episode, T: int) -> Floats:
-    """Displacement N of each object's initial box centre, moved with the object, after T actions.
-
-    The centre, unlike the mesh's origin, does not depend on where a mesh has its frame.
-    """
-    first, step = episode.steps[0], episode.steps[T]
-    motion_N44 = step.world_T_obj_N44 @ np.linalg.inv(first.world_T_obj_N44)
-    moved_N3 = (motion_N44[:, :3, :3] @ first.center_N3[..., None])[..., 0] + motion_N44[:, :3, 3]
-    return translation_mm(moved_N3, first.center_N3)
-
-
-def impact_T(episode: Episode) -> int | None:
-    """First T by which the last object, the falling one, touched anything; None if it never did."""
-    return next((T for T, step in enumerate(episode.steps) if step.contact_AA[-1].any()), None)
-
-
-def has_object_contact(episode: Episode) -> bool:
-    """Whether two objects touched at any time."""
-    return any(step.contact_AA[FIRST_OBJECT:, FIRST_OBJECT:].any() for step in episode.steps)
-
-
 def write_card(card: DatasetCard, folder: Path) -> None:
     """Write card.json, card.md and card.png; equal cards give equal bytes."""
     tree = {name: value for name, value in asdict(card).items() if value is not None}
     (folder / "card.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
     (folder / "card.md").write_text(_markdown(card), encoding="utf-8")
     _figure(card).savefig(folder / "card.png", dpi=110, metadata={"Software": None})
-
-
-def _rotation_deg(episode: Episode, T: int) -> Floats:
-    first, step = episode.steps[0], episode.steps[T]
-    return rotation_deg(step.world_T_obj_N44[:, :3, :3], first.world_T_obj_N44[:, :3, :3])
 
 
 def _rod_rms_mm(episodes: Sequence[Episode]) -> dict[str, float]:

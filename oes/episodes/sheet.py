@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from oes.episode import SEG_FIRST_OBJECT, SEG_ROBOT, SEG_TABLE, Camera, Episode, Floats
-from oes.episodes.dataset_card import displacement_mm
+from oes.episodes.motion import FIRST_OBJECT, contact_pairs, displacement_mm
 from oes.geom.camera import project
 from oes.record.errors import EpisodeError
 from oes.record.reader import read_episode, read_frames
@@ -120,12 +120,6 @@ def seg_image(seg_VHW: Pixels) -> Pixels:
     return np.array(palette, dtype=np.uint8)[seg_VHW]
 
 
-def contact_pairs(episode: Episode) -> list[tuple[int, int]]:
-    """Pairs of bodies (rows of ``contact_AA``) that ever touched, other than with the table."""
-    ever_AA = np.any([step.contact_AA for step in episode.steps], axis=0)
-    return [(a, b) for a, b in combinations(range(1, len(ever_AA)), 2) if ever_AA[a, b]]
-
-
 def charts(episode: Episode) -> Pixels:
     """The table from above, displacement of every object, and contacts by state, H W 3."""
     figure = Figure(figsize=(12, 4), layout="constrained")
@@ -158,7 +152,7 @@ def charts(episode: Episode) -> Pixels:
     contacts.set_yticks(range(len(pairs)), [f"{names[a]} / {names[b]}" for a, b in pairs])
     for row, (a, b) in enumerate(pairs):
         spans = [(i - 1, 1) for i in states if i and episode.steps[i].contact_AA[a, b]]
-        contacts.broken_barh(spans, (row - 0.3, 0.6), color=_colour(b - 2))
+        contacts.broken_barh(spans, (row - 0.3, 0.6), color=_colour(b - FIRST_OBJECT))
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
