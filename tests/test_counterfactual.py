@@ -250,7 +250,7 @@ def test_a_scene_without_detections_is_forecast_as_static(world: tuple[Scenario,
 def test_no_edit_without_free_space_or_a_matched_object(world: tuple[Scenario, tuple]) -> None:
     scenario, _ = world
     rng, window = np.random.default_rng(0), cube(16, 0.01)
-    assert draw_edit("move", scenario, replace(CFG.edits, rim_m=0.05), window, rng) is None
+    assert draw_edit("move", scenario, replace(CFG.edits, table_edge_m=0.05), window, rng) is None
     unknown = replace(scenario, scene=replace(scenario.scene, truth=[-1, -1, -1]))
     assert draw_edit("remove", unknown, CFG.edits, window, rng) is None
     with pytest.raises(ValueError, match=r"unknown fly; valid: move, resize, remove, add, push"):
@@ -279,7 +279,7 @@ def test_detections_are_measured_against_objects_and_each_other(
     places = [true + aside, true - aside, true[:1] + aside]
     images = np.zeros((3, 4, 4, 3), np.uint8)
     frames = Frames(images, np.zeros((3, 4, 4), np.float32), images[..., 0])
-    evaluator = FutureEvaluator(Oracle(places), None, scenario, (0, (1, 2, 3)))
+    evaluator = FutureEvaluator(Oracle(places), None, scenario, 0, (1, 2, 3))
     first, second = evaluator._detection_rows(
         1, "oes", frames, scenario.episode.steps[0].cameras[:3], true
     )

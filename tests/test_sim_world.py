@@ -77,7 +77,7 @@ def test_objects_rest_where_they_stand(mesh: str, catalogue: Catalogue, world: W
     assert np.abs(moved_m[:2, 3]).max() < 1e-3
     assert 0 <= moved_m[2, 3] < 1.5e-3
     assert np.abs(moved_m[:3, :3]).max() < 0.01
-    assert world.touched()[TABLE, FIRST_OBJECT]
+    assert world.contacts()[TABLE, FIRST_OBJECT]
 
 
 def test_the_frame_of_the_mass_is_that_of_the_scaled_volume(catalogue: Catalogue) -> None:

@@ -50,7 +50,7 @@ CEM = PlannerConfig(
 )
 TARGETS = TrialScenario(
     num_objects=(1, 2),
-    scatter=ScatterConfig(spread_m=0.15, rim_m=0.27, gap_m=0.03),
+    scatter=ScatterConfig(spread_m=0.15, table_edge_m=0.27, gap_m=0.03),
     goal_distance_m=(0.08, 0.15),
     goal_spread_m=0.17,
     goal_gap_m=0.02,

@@ -27,8 +27,8 @@ class EditsConfig:
 
     ``move_m``: distance of a moved object. ``add_m``: distance of a copy from its original.
     ``scale_factors``: sizes relative to the original. ``turn_deg``: turn of pushes, either way.
-    ``gap_m``: free space around edited objects and rod. ``rim_m``: largest |x| and |y| of objects.
-    ``max_attempts``: samples until an edit is feasible.
+    ``gap_m``: free space around edited objects and rod. ``table_edge_m``: their largest |x| and
+    |y|. ``max_attempts``: samples until an edit is feasible.
     """
 
     move_m: tuple[float, float]
@@ -36,7 +36,7 @@ class EditsConfig:
     scale_factors: tuple[float, ...]
     turn_deg: tuple[float, float]
     gap_m: float
-    rim_m: float
+    table_edge_m: float
     max_attempts: int
 
 
@@ -207,4 +207,4 @@ def _is_free(scenario: Scenario, true_i: int, cfg: EditsConfig) -> bool:
     to_rod = np.linalg.norm(first.tip_world_3[:2] - xy_N2[true_i]) - radius_N[true_i]
     # Without a robot the tip is NaN, and no comparison with it holds.
     is_clear = (gap_N > cfg.gap_m).all() and not to_rod < 2 * cfg.gap_m
-    return bool(is_clear and (np.abs(xy_N2[true_i]) + radius_N[true_i] < cfg.rim_m).all())
+    return bool(is_clear and (np.abs(xy_N2[true_i]) + radius_N[true_i] < cfg.table_edge_m).all())

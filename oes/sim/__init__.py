@@ -1,3 +1,5 @@
-"""Bullet: the world, the arm, random scenes of both tasks, episodes and their re-runs. Nothing else
-uses pybullet.
+"""The simulator, and the only user of pybullet: world, arm, random scenes, episodes and replays.
+
+May import: config, episode, geom and meshes. Start with ``simulate`` (an episode), then
+``attempt``, ``scene`` and ``drop`` (its random scenes) and ``world`` (Bullet).
 """

@@ -1,6 +1,4 @@
-"""Catalogue meshes as Bullet bodies: mass frame, footprint on the table, true box, and the body
-itself.
-"""
+"""Catalogue meshes as Bullet bodies: inertial frame, footprint, bounding box and pose."""
 
 from typing import TYPE_CHECKING
 
@@ -19,35 +17,32 @@ if TYPE_CHECKING:
 
 @params
 class BodiesConfig:
-    """How bodies are drawn and how they touch: nominal values times a factor drawn from ``vary``
-    (log-uniform).
+    """Distribution of the bodies' properties.
 
-    ``scale`` is drawn per axis, uniformly, from the range for the mesh's split: wider for training
-    meshes, since what is known of novel shapes comes from the variety of those seen. Friction is
-    against the table (whose own is 1); Bullet multiplies the coefficients of two bodies.
-    ``spinning_m`` and ``rolling_m`` are its torsional coefficients.
+    ``mass_kg``, ``friction``: nominal values; friction is that against the table, whose own is 1
+    (Bullet multiplies the coefficients of two bodies).
+    ``randomize``: range of the log-uniform factor on both.
+    ``scale``: range of the uniform scale per axis, by the split of the mesh. It is wider for
+    training meshes, as generalisation to new shapes comes from variety.
+    ``spinning_friction_m``, ``rolling_friction_m``: Bullet's torsional coefficients.
     """
 
     mass_kg: float
     friction: float
-    vary: tuple[float, float]
+    randomize: tuple[float, float]
     scale: dict[str, tuple[float, float]]
-    spinning_m: float
-    rolling_m: float
+    spinning_friction_m: float
+    rolling_friction_m: float
 
     def __post_init__(self) -> None:
-        """Raises ValueError (a ParamsError when read from params.yaml) where ``scale`` lacks a
-        split.
-        """
+        """Raises ValueError (a ParamsError when read from a file) if ``scale`` lacks a split."""
         if set(self.scale) != {"train", "test"}:
             raise ValueError(f"scale: expected exactly train, test; found {', '.join(self.scale)}")
 
 
 def draw_body(mesh: "Mesh", cfg: BodiesConfig, rng: np.random.Generator) -> Body:
-    """A body of this mesh with random size, mass, friction and texture (paper appendix B:
-    textures).
-    """
-    low, high = np.log(cfg.vary)
+    """A body of random size, mass, friction and texture (paper appendix B: textures)."""
+    low, high = np.log(cfg.randomize)
     mass, friction = np.array([cfg.mass_kg, cfg.friction]) * np.exp(rng.uniform(low, high, 2))
     return Body(
         mesh=mesh.id,
@@ -60,22 +55,17 @@ def draw_body(mesh: "Mesh", cfg: BodiesConfig, rng: np.random.Generator) -> Body
 
 
 def mass_frame(mesh: "Mesh", scale_3: Floats, mass_kg: float) -> tuple[Floats, Floats]:
-    """``obj_T_com`` (origin at the centre of mass, axes along the principal ones) and the principal
-    moments (3, kg m2).
-
-    Exact for scaling along the axes: the second moments of the volume scale axis by axis.
-    """
+    """Inertial frame ``obj_T_com`` (along the principal axes) and principal moments (3, kg m2)."""
+    # Second moments, unlike the inertia tensor, scale axis by axis, so the result is exact.
     second_33 = 0.5 * np.trace(mesh.inertia_obj_33) * np.eye(3) - mesh.inertia_obj_33
     second_33 = second_33 * np.outer(scale_3, scale_3) * mass_kg / mesh.volume_m3
     moments, axes = np.linalg.eigh(np.trace(second_33) * np.eye(3) - second_33)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    axes[:, 2] *= np.sign(np.linalg.det(axes))  # eigenvectors may form a left-handed frame
     return rigid(axes, mesh.com_obj_3 * scale_3), moments
 
 
 def spawn(bullet: Bullet, mesh: "Mesh", body: Body, cfg: BodiesConfig) -> int:
-    """A dynamic Bullet body (the compound of the mesh's convex parts); returns its id. Pose it with
-    ``set_pose``.
-    """
+    """Add a dynamic compound of the mesh's convex parts; returns its id. Its pose is not set."""
     obj_T_com, moments = mass_frame(mesh, body.scale_3, body.mass_kg)
     shape = bullet.createCollisionShape(
         bullet.GEOM_MESH, fileName=str(mesh.collision_path), meshScale=body.scale_3.tolist()
@@ -86,13 +76,14 @@ def spawn(bullet: Bullet, mesh: "Mesh", body: Body, cfg: BodiesConfig) -> int:
         baseInertialFramePosition=obj_T_com[:3, 3].tolist(),
         baseInertialFrameOrientation=quat_xyzw(obj_T_com[:3, :3]).tolist(),
     )
+    # Bullet's own moments are those of the bounding box; its damping would act as air drag.
     bullet.changeDynamics(
         body_id,
         -1,
         localInertiaDiagonal=moments.tolist(),
         lateralFriction=body.friction,
-        spinningFriction=cfg.spinning_m,
-        rollingFriction=cfg.rolling_m,
+        spinningFriction=cfg.spinning_friction_m,
+        rollingFriction=cfg.rolling_friction_m,
         restitution=0.0,
         linearDamping=0.0,
         angularDamping=0.0,
@@ -101,9 +92,7 @@ def spawn(bullet: Bullet, mesh: "Mesh", body: Body, cfg: BodiesConfig) -> int:
 
 
 def set_pose(bullet: Bullet, body_id: int, world_T_obj: Floats, obj_T_com: Floats) -> None:
-    """Put the body's obj frame at ``world_T_obj``, at rest (Bullet itself counts from the mass
-    frame).
-    """
+    """Put a body at rest at ``world_T_obj``; Bullet's own pose is that of the inertial frame."""
     world_T_com = world_T_obj @ obj_T_com
     bullet.resetBasePositionAndOrientation(
         body_id, world_T_com[:3, 3].tolist(), quat_xyzw(world_T_com[:3, :3]).tolist()
@@ -119,7 +108,7 @@ def get_pose(bullet: Bullet, body_id: int, obj_T_com: Floats) -> Floats:
 
 
 def upright(mesh: "Mesh", body: Body, xy_m: Floats, yaw_rad: float) -> Floats:
-    """``world_T_obj`` of the body standing on the table, its box centre above ``xy_m``."""
+    """``world_T_obj`` of a body that stands on the table with its box centre above ``xy_m``."""
     height = -mesh.visual.bounds[0, 2] * body.scale_3[2]
     return rigid(rotation_z(yaw_rad), np.array([*xy_m, height]))
 
@@ -130,6 +119,6 @@ def true_box(mesh: "Mesh", body: Body, world_T_obj: Floats) -> tuple[Floats, Flo
 
 
 def body_footprint(mesh: "Mesh", body: Body, world_T_obj: Floats) -> shapely.Geometry:
-    """The outline of the posed body seen from above: the union of its convex parts' shadows."""
-    shadows = [transform(world_T_obj, part.vertices * body.scale_3)[:, :2] for part in mesh.parts]
-    return shapely.union_all([shapely.MultiPoint(shadow).convex_hull for shadow in shadows])
+    """Vertical projection of the posed body: the union of those of its convex parts."""
+    points = [transform(world_T_obj, part.vertices * body.scale_3)[:, :2] for part in mesh.parts]
+    return shapely.union_all([shapely.MultiPoint(part_P2).convex_hull for part_P2 in points])

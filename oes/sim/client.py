@@ -1,4 +1,4 @@
-"""One Bullet physics server inside this process, its functions as attributes."""
+"""One Bullet physics server inside this process, with its functions as attributes."""
 
 from functools import partial
 from typing import Any
@@ -9,11 +9,10 @@ BulletError: type[Exception] = pybullet.error
 
 
 class Bullet:
-    """``Bullet().stepSimulation()`` is ``pybullet.stepSimulation(physicsClientId=...)`` of its own
-    server.
+    """``Bullet().stepSimulation()`` is ``pybullet.stepSimulation(physicsClientId=...)``.
 
-    As pybullet_utils' BulletClient, which however makes the server print its command line and
-    leaves it to the garbage collector to disconnect.
+    pybullet_utils' BulletClient does the same, but makes the server print its command line, and
+    disconnects only on garbage collection.
     """
 
     def __init__(self) -> None:
@@ -22,5 +21,5 @@ class Bullet:
     def __getattr__(self, name: str) -> Any:
         value = getattr(pybullet, name)
         bound = partial(value, physicsClientId=self._client) if callable(value) else value
-        setattr(self, name, bound)
+        setattr(self, name, bound)  # looked up once: some functions are called at every step
         return bound

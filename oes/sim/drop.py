@@ -1,6 +1,4 @@
-"""Random falling scenes: blocks standing close together, and one more in the air above them or
-beside them.
-"""
+"""Random falling scenes: upright blocks, and one more in the air above or beside them."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -22,19 +20,21 @@ if TYPE_CHECKING:
 
 @params
 class FallsConfig:
-    """How a block is dropped, and how long it is watched: ``num_steps`` of ``timestep_ms`` each.
+    """Random drops of the last block, recorded for ``num_steps`` of ``timestep_ms``.
 
-    The others stand as ``scatter`` says. The falling one is turned anyhow; its centre is above a
-    standing one's, off by up to ``aside_m``, with probability ``over``, else above any place in +-
-    ``spread_m`` of the table's centre. Its lowest point starts ``gap_m`` (range) above whatever
-    stands beneath its outline, its highest below ``ceiling_m``.
+    ``scatter``: placement of the other blocks.
+    ``above_prob``: probability that the block starts above another one; else it starts anywhere in
+    +- ``scatter.spread_m``.
+    ``lateral_m``: largest horizontal distance from the centre of the block below.
+    ``gap_m``: range of the free height below the block at its start.
+    ``ceiling_m``: largest height of its top.
     """
 
     num_steps: int
     timestep_ms: int
     scatter: ScatterConfig
-    over: float
-    aside_m: float
+    above_prob: float
+    lateral_m: float
     gap_m: tuple[float, float]
     ceiling_m: float
 
@@ -46,49 +46,39 @@ def draw_drop(
     cfg: FallsConfig,
     rng: np.random.Generator,
 ) -> Floats:
-    """``world_T_obj`` of the last body before it falls; the others stand at ``standing_N44``.
-    Raises Rejected.
+    """Initial ``world_T_obj`` of the last body, in any orientation, above ``standing_N44``.
+
+    Raises SceneRejected if it would start above ``ceiling_m``.
     """
-    place = _place(meshes, bodies, standing_N44, cfg, rng)
-    turn_33 = Rotation.random(random_state=rng).as_matrix()
-    points_P3 = meshes[-1].visual.vertices * bodies[-1].scale_3 @ turn_33.T
-    center_3, size_3 = aabb(points_P3)
-    pose = rigid(turn_33, np.array([*(place - center_3[:2]), 0.0]))
-    outline = body_footprint(meshes[-1], bodies[-1], pose)
-    beneath_m = max((top_m for shadow, top_m in _standing(meshes, bodies, standing_N44) if shadow.intersects(outline)),
-                    default=0.0)  # fmt: skip
-    lowest_m = beneath_m + rng.uniform(*cfg.gap_m)
-    if lowest_m + size_3[2] > cfg.ceiling_m:
-        raise SceneRejected("the falling object would start too high")
-    pose[2, 3] = lowest_m - points_P3[:, 2].min()
-    return pose
-
-
-def _place(
-    meshes: Sequence["Mesh"],
-    bodies: Sequence[Body],
-    standing_N44: Floats,
-    cfg: FallsConfig,
-    rng: np.random.Generator,
-) -> Floats:
-    """Where the falling object's centre lies, seen from above."""
-    if len(standing_N44) == 0 or rng.random() > cfg.over:
-        return np.asarray(rng.uniform(-cfg.scatter.spread_m, cfg.scatter.spread_m, 2))
-    below_i = int(rng.integers(len(standing_N44)))
-    shadow = body_footprint(meshes[below_i], bodies[below_i], standing_N44[below_i])
-    angle, distance = rng.uniform(0, 2 * np.pi), cfg.aside_m * np.sqrt(rng.random())
-    offset_2 = distance * np.array([np.cos(angle), np.sin(angle)])
-    return np.asarray(shadow.centroid.coords[0] + offset_2)
-
-
-def _standing(
-    meshes: Sequence["Mesh"], bodies: Sequence[Body], standing_N44: Floats
-) -> list[tuple[shapely.Geometry, float]]:
-    """Outline from above and height of the top of every standing object."""
-    return [
+    obstacles = [
         (
             body_footprint(mesh, body, pose),
             float(transform(pose, mesh.visual.vertices * body.scale_3)[:, 2].max()),
         )
         for mesh, body, pose in zip(meshes, bodies, standing_N44, strict=False)
     ]
+    xy = _drop_position([footprint for footprint, _ in obstacles], cfg, rng)
+    rotation_33 = Rotation.random(random_state=rng).as_matrix()
+    points_P3 = meshes[-1].visual.vertices * bodies[-1].scale_3 @ rotation_33.T
+    center_3, size_3 = aabb(points_P3)
+    pose = rigid(rotation_33, np.array([*(xy - center_3[:2]), 0.0]))
+    footprint = body_footprint(meshes[-1], bodies[-1], pose)
+    tops = [top for other, top in obstacles if other.intersects(footprint)]
+    bottom_m = max(tops, default=0.0) + rng.uniform(*cfg.gap_m)
+    if bottom_m + size_3[2] > cfg.ceiling_m:
+        raise SceneRejected("the falling object would start too high")
+    pose[2, 3] = bottom_m - points_P3[:, 2].min()
+    return pose
+
+
+def _drop_position(
+    footprints: Sequence[shapely.Geometry], cfg: FallsConfig, rng: np.random.Generator
+) -> Floats:
+    """Horizontal position (2) of the falling object's box centre."""
+    if not footprints or rng.random() > cfg.above_prob:
+        return np.asarray(rng.uniform(-cfg.scatter.spread_m, cfg.scatter.spread_m, 2))
+    below = footprints[int(rng.integers(len(footprints)))]
+    # The square root makes the offset uniform over the disc.
+    angle, distance = rng.uniform(0, 2 * np.pi), cfg.lateral_m * np.sqrt(rng.random())
+    offset_2 = distance * np.array([np.cos(angle), np.sin(angle)])
+    return np.asarray(below.centroid.coords[0] + offset_2)

@@ -1,9 +1,6 @@
-"""The closed loop's world: one push at a time, and after each a settled state seen by fresh
-cameras.
-"""
+"""Simulated world of closed-loop trials: one push at a time, with new cameras after each."""
 
 from collections.abc import Sequence
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -20,63 +17,50 @@ if TYPE_CHECKING:
 
 
 class PushWorld:
-    """Objects on the table and the arm; a context manager. Between pushes the arm stays where the
-    last one ended.
-    """
+    """Objects on the table and the arm; a context manager. The arm stays where a push ended."""
 
     def __init__(self, catalogue: "Catalogue", cfg: SimConfig, settle_ms: int) -> None:
-        """``settle_ms`` passes after every push before the state is read. Raises ValueError for a
-        bad clock.
+        """``settle_ms``: time from the end of a push to the recorded state.
+
+        Raises ValueError if a duration is no whole number of physics steps.
         """
-        self._world, self._catalogue, self._cfg, self._settle_ms = (
-            World(catalogue, cfg),
-            catalogue,
-            cfg,
-            settle_ms,
-        )
+        self._world, self._catalogue = World(catalogue, cfg), catalogue
+        self._cfg, self._settle_ms = cfg, settle_ms
         self._t_ns = 0
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._world.__exit__(kind, error, trace)
+    def __exit__(self, *error: object) -> None:
+        self._world.__exit__(*error)
 
     def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_xy_m: Floats) -> None:
-        """Start a trial: bodies put on the table, left to settle, the rod down at ``tip_xy_m``.
-        Raises ReachError.
-        """
+        """Start a trial: settled bodies, and the rod down at ``tip_xy_m``. Raises ReachError."""
         self._world.reset(bodies, world_T_obj_N44, self._tip(tip_xy_m))
         self._world.run(self._settle_ms)
         self._world.clear_contacts()
         self._t_ns = 0
 
     def is_free(self, tip_xy_m: Floats) -> bool:
-        """True where the rod can be lowered: within the arm's reach and on none of the objects."""
+        """Whether the rod can be lowered: the tip is in reach and on none of the objects."""
         try:
             joints_for(self._tip(tip_xy_m)[None], self._cfg.robot)
         except ReachError:
             return False
-        things = zip(self._world.bodies, self._world.poses(), strict=True)
-        outlines = [
-            body_footprint(self._catalogue.meshes[body.mesh], body, pose) for body, pose in things
+        footprints = [
+            body_footprint(self._catalogue.meshes[body.mesh], body, pose)
+            for body, pose in zip(self._world.bodies, self._world.poses(), strict=True)
         ]
-        radius = self._cfg.robot.rod_radius_m
-        return all(outline.distance(shapely.Point(tip_xy_m)) > radius for outline in outlines)
+        tip, radius_m = shapely.Point(tip_xy_m), self._cfg.robot.rod_radius_m
+        return all(footprint.distance(tip) > radius_m for footprint in footprints)
 
     def push(self, tip_start_xy_m: Floats, action_3: Floats, rng: np.random.Generator) -> Step:
-        """Set the rod down at ``tip_start_xy_m``, push by ``action_3`` over one timestep, let
-        things settle.
+        """Set the rod down at ``tip_start_xy_m``, push by ``action_3`` for one timestep, settle.
 
-        The way to the start is a joint reset (raised, the rod touches nothing), and takes no time.
-        Where the rod would come down on an object it stays where it is, and only time passes: ask
-        ``is_free`` first. The contacts of the Step are those of this push and its settling. Raises
-        ReachError, before anything moves, when the start or the end is out of reach.
+        The raised rod reaches the start by a joint reset, in no time and without contact. If the
+        start is occupied (see ``is_free``), the rod stays and only time passes. The Step has the
+        contacts of this push and its settling. Raises ReachError, before anything moves, if the
+        start or the end is out of reach.
         """
         start, end = self._tip(tip_start_xy_m), self._tip(tip_start_xy_m) + action_3
         joints_for(np.stack([start, end]), self._cfg.robot)
@@ -91,7 +75,7 @@ class PushWorld:
         return self.step_now(rng)
 
     def step_now(self, rng: np.random.Generator) -> Step:
-        """The state now, seen by a freshly perturbed rig."""
+        """The current state, with the cameras of a newly perturbed rig."""
         return self._world.step(self._t_ns, rig(self._cfg.rig, rng))
 
     def _tip(self, xy_m: Floats) -> Floats:

@@ -1,6 +1,4 @@
-"""The camera rig: 27 nominal views around the table, perturbed afresh at every recorded state
-(paper appendix B).
-"""
+"""The camera rig: nominal views around the table, perturbed at every state (paper appendix B)."""
 
 import numpy as np
 
@@ -11,8 +9,11 @@ from oes.geom.camera import intrinsics, look_at
 
 @params
 class RigConfig:
-    """Azimuths run evenly over ``azimuth_deg`` (0 = opposite the robot, at +x); jitter is uniform,
-    +- the value.
+    """Views from a sphere about ``target_m``.
+
+    ``azimuth_deg``: first and last of ``num_azimuths`` evenly spaced ones; 0 is +x, opposite the
+    robot.
+    ``jitter_deg``, ``jitter_m``: half ranges of the uniform perturbations.
     """
 
     azimuth_deg: tuple[float, float]
@@ -28,37 +29,33 @@ class RigConfig:
 
 
 def rig(cfg: RigConfig, rng: np.random.Generator) -> tuple[Camera, ...]:
-    """Cameras cam_00.. (index = elevation_i * num_azimuths + azimuth_i), each perturbed.
+    """Perturbed cameras cam_00, ... with index elevation_i * num_azimuths + azimuth_i.
 
-    Azimuth and elevation move by up to ``jitter_deg``, the distance and every coordinate of the
-    point looked at by up to ``jitter_m``.
+    ``jitter_deg`` applies to azimuth and elevation, ``jitter_m`` to the distance and to every
+    coordinate of the target.
     """
     azimuths = np.linspace(*cfg.azimuth_deg, cfg.num_azimuths)
-    nominal = [(elevation, azimuth) for elevation in cfg.elevation_deg for azimuth in azimuths]
-    K_33 = intrinsics(cfg.fov_deg, cfg.width_px, cfg.height_px)
+    angles = [(elevation, azimuth) for elevation in cfg.elevation_deg for azimuth in azimuths]
+    K_33, size_px = (
+        intrinsics(cfg.fov_deg, cfg.width_px, cfg.height_px),
+        (cfg.width_px, cfg.height_px),
+    )
     return tuple(
-        Camera(
-            f"cam_{i:02d}", K_33, _pose(cfg, elevation, azimuth, rng), cfg.width_px, cfg.height_px
-        )
-        for i, (elevation, azimuth) in enumerate(nominal)
+        Camera(f"cam_{i:02d}", K_33, _perturbed(cfg, np.array(pair), rng), *size_px)
+        for i, pair in enumerate(angles)
     )
 
 
-def _pose(
-    cfg: RigConfig, elevation_deg: float, azimuth_deg: float, rng: np.random.Generator
-) -> Floats:
-    """world_T_cam of one perturbed camera."""
-    elevation, azimuth = np.radians(
-        np.array([elevation_deg, azimuth_deg]) + rng.uniform(-1, 1, 2) * cfg.jitter_deg
-    )
+def _perturbed(cfg: RigConfig, angles_deg_2: Floats, rng: np.random.Generator) -> Floats:
+    """Random ``world_T_cam`` near the view from (elevation, azimuth)."""
+    elevation, azimuth = np.radians(angles_deg_2 + rng.uniform(-1, 1, 2) * cfg.jitter_deg)
     distance = cfg.distance_m + rng.uniform(-1, 1) * cfg.jitter_m
     target = np.array(cfg.target_m) + rng.uniform(-1, 1, 3) * cfg.jitter_m
     return look_at(target + distance * direction(elevation, azimuth), target)
 
 
 def direction(elevation_rad: float, azimuth_rad: float) -> Floats:
-    """Unit vector towards a point of the sphere on which the cameras stand."""
+    """Unit vector from the target to a camera."""
     level = np.cos(elevation_rad)
-    return np.array(
-        [level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), np.sin(elevation_rad)]
-    )
+    x, y = level * np.cos(azimuth_rad), level * np.sin(azimuth_rad)
+    return np.array([x, y, np.sin(elevation_rad)])

@@ -1,6 +1,4 @@
-"""Random pushing scenes: which objects stand where, where the rod starts, and which way each action
-goes.
-"""
+"""Random pushing scenes: objects on the table, the start of the rod, and the headings of pushes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,60 +16,61 @@ from oes.sim.robot import RobotConfig
 if TYPE_CHECKING:
     from oes.meshes.catalogue import Mesh
 
-MARCH_M = 0.001  # how finely the rod's first contact with an outline is searched
-MARCH_FROM_M = 0.25  # from how far away
-TRIES = 30  # places tried for each further object before the scene is given up
+MARCH_STEP_M = 0.001  # resolution of the search for the rod's first contact with a footprint
+MARCH_START_M = 0.25  # longer than any object, so that the search starts in free space
+MAX_PLACEMENTS = 30  # poses tried for an object before the scene is rejected
 
 
 @params
 class ScatterConfig:
-    """Where objects may stand: centres in +- ``spread_m``, outlines inside the table by ``rim_m``,
-    ``gap_m`` apart.
+    """Free placement: centres in +- ``spread_m``, footprints in +- ``table_edge_m``, ``gap_m``
+    apart.
     """
 
     spread_m: float
-    rim_m: float
+    table_edge_m: float
     gap_m: float
 
 
 @params
 class PushesConfig:
-    """How a scene is built around its first object, and how its five pushes go.
+    """Random pushes of the first object, with others in its way.
 
-    The pushed object stands ``lead_m`` before the middle of the intended path, that middle within
-    +- ``middle_m`` of the table's centre. The rod starts ``clearance_m`` (range) from its outline,
-    aimed past its centre by up to ``aim`` times half its width. Every further object stands in the
-    way (a gap of ``ahead_m`` (range) beyond it, up to ``aside_m`` to the side) with probability
-    ``ahead``, else anywhere. Each action's length is uniform in ``length_m``; its heading is the
-    last one, turned a share ``pull`` of the way to the pushed object's centre, plus normal noise.
+    ``path_center_m``: largest |x| and |y| of the centre of the intended path.
+    ``lead_in_m``: distance of the pushed object before that centre.
+    ``clearance_m``: range of the initial gap between rod and footprint.
+    ``max_offset``: largest lateral offset of the rod from the object's centre, in half widths.
+    ``blocker_prob``: probability that a further object blocks the path; else it stands anywhere.
+    ``blocker_gap_m``: range of the gap between the pushed object and a blocker.
+    ``blocker_lateral_m``: largest lateral offset of a blocker.
+    ``length_m``: range of the length of one action.
+    ``recenter_gain``: share of the angle to the pushed object by which each action turns.
+    ``heading_noise_deg``: standard deviation of the heading.
+    ``topple_deg``: largest tilt; an episode with more is rejected.
     """
 
     num_actions: int
     scatter: ScatterConfig
-    middle_m: float
-    lead_m: float
+    path_center_m: float
+    lead_in_m: float
     clearance_m: tuple[float, float]
-    aim: float
-    ahead: float
-    ahead_m: tuple[float, float]
-    aside_m: float
+    max_offset: float
+    blocker_prob: float
+    blocker_gap_m: tuple[float, float]
+    blocker_lateral_m: float
     length_m: tuple[float, float]
-    pull: float
-    noise_deg: float
+    recenter_gain: float
+    heading_noise_deg: float
     topple_deg: float
 
 
 class SceneRejected(Exception):
-    """This attempt at a scene or an episode is no good (the reason is the message); draw
-    another.
-    """
+    """An attempt at a scene or an episode failed; the message is the reason."""
 
 
 @dataclass(frozen=True)
-class Start:
-    """A scene before the first push: bodies standing at ``world_T_obj_N44``, the tip, the first
-    heading.
-    """
+class PushScene:
+    """A scene before the first push: upright bodies, the rod's tip and the first heading."""
 
     bodies: tuple[Body, ...]
     world_T_obj_N44: Floats
@@ -79,61 +78,59 @@ class Start:
     heading_rad: float
 
 
-def draw_start(
+def draw_scene(
     meshes: Sequence["Mesh"],
     num_objects: int,
     bodies_cfg: BodiesConfig,
     robot: RobotConfig,
     cfg: PushesConfig,
     rng: np.random.Generator,
-) -> Start:
-    """A random scene (paper appendix B). Raises Rejected."""
+) -> PushScene:
+    """A random pushing scene (paper appendix B). Raises SceneRejected."""
     chosen = draw_meshes(meshes, num_objects, rng)
     bodies = [draw_body(mesh, bodies_cfg, rng) for mesh in chosen]
     heading_rad = rng.uniform(-np.pi, np.pi)
     forward = _direction(heading_rad)
-    first_xy = rng.uniform(-cfg.middle_m, cfg.middle_m, 2) - cfg.lead_m * forward
-    poses = [upright(chosen[0], bodies[0], first_xy, rng.uniform(-np.pi, np.pi))]
-    outlines = [body_footprint(chosen[0], bodies[0], poses[0])]
-    tip_xy = _tip_start(outlines[0], first_xy, forward, cfg, robot.rod_radius_m, rng)
-    outlines_and_rod = [*outlines, shapely.Point(tip_xy).buffer(robot.rod_radius_m)]
+    pushed_xy = rng.uniform(-cfg.path_center_m, cfg.path_center_m, 2) - cfg.lead_in_m * forward
+    poses = [upright(chosen[0], bodies[0], pushed_xy, rng.uniform(-np.pi, np.pi))]
+    pushed = body_footprint(chosen[0], bodies[0], poses[0])
+    tip_xy = _rod_start(pushed, pushed_xy, forward, cfg, robot.rod_radius_m, rng)
+    occupied = [pushed, shapely.Point(tip_xy).buffer(robot.rod_radius_m)]
     for mesh, body in zip(chosen[1:], bodies[1:], strict=True):
-        pose, outline = _place_next(mesh, body, first_xy, forward, outlines_and_rod, cfg, rng)
+        pose, footprint = _place_next(mesh, body, pushed_xy, forward, occupied, cfg, rng)
         poses.append(pose)
-        outlines_and_rod.append(outline)
-    return Start(
-        tuple(bodies), np.array(poses), np.array([*tip_xy, robot.tip_height_m]), float(heading_rad)
-    )
+        occupied.append(footprint)
+    tip_3 = np.array([*tip_xy, robot.tip_height_m])
+    return PushScene(tuple(bodies), np.array(poses), tip_3, float(heading_rad))
 
 
 def draw_meshes(
     meshes: Sequence["Mesh"], num_objects: int, rng: np.random.Generator
 ) -> list["Mesh"]:
-    """Different meshes while there are enough of them."""
+    """Random meshes, with repetition only if there are fewer than ``num_objects``.
+
+    Raises ValueError without meshes.
+    """
     if not meshes:
         raise ValueError("no meshes to draw from")
-    return [
-        meshes[i] for i in rng.choice(len(meshes), num_objects, replace=num_objects > len(meshes))
-    ]
+    chosen = rng.choice(len(meshes), num_objects, replace=num_objects > len(meshes))
+    return [meshes[i] for i in chosen]
 
 
 def scatter(
     meshes: Sequence["Mesh"], bodies: Sequence[Body], cfg: ScatterConfig, rng: np.random.Generator
 ) -> Floats:
-    """Upright poses N44 of bodies standing apart, anywhere on the table. Raises Rejected where they
-    do not fit.
-    """
+    """Random upright poses N44 without overlap. Raises SceneRejected if the bodies do not fit."""
     poses: list[Floats] = []
-    outlines: list[shapely.Geometry] = []
+    footprints: list[shapely.Geometry] = []
     for mesh, body in zip(meshes, bodies, strict=True):
-        for _ in range(TRIES):
-            pose = upright(
-                mesh, body, rng.uniform(-cfg.spread_m, cfg.spread_m, 2), rng.uniform(-np.pi, np.pi)
-            )
-            outline = body_footprint(mesh, body, pose)
-            if is_free(outline, outlines, cfg):
+        for _ in range(MAX_PLACEMENTS):
+            xy = rng.uniform(-cfg.spread_m, cfg.spread_m, 2)
+            pose = upright(mesh, body, xy, rng.uniform(-np.pi, np.pi))
+            footprint = body_footprint(mesh, body, pose)
+            if is_free(footprint, footprints, cfg):
                 poses.append(pose)
-                outlines.append(outline)
+                footprints.append(footprint)
                 break
         else:
             raise SceneRejected("no room for an object")
@@ -141,22 +138,23 @@ def scatter(
 
 
 def is_free(
-    outline: shapely.Geometry, others: Sequence[shapely.Geometry], cfg: ScatterConfig
+    footprint: shapely.Geometry, others: Sequence[shapely.Geometry], cfg: ScatterConfig
 ) -> bool:
-    """True where an outline lies inside the table's rim and keeps its distance from the others."""
-    edge = shapely.box(-cfg.rim_m, -cfg.rim_m, cfg.rim_m, cfg.rim_m)
-    return bool(edge.contains(outline)) and all(
-        outline.distance(other) >= cfg.gap_m for other in others
+    """Whether a footprint lies on the table and at least ``gap_m`` from the others."""
+    edge_m = cfg.table_edge_m
+    return bool(shapely.box(-edge_m, -edge_m, edge_m, edge_m).contains(footprint)) and all(
+        footprint.distance(other) >= cfg.gap_m for other in others
     )
 
 
 def draw_heading(
     tip_3: Floats, target_3: Floats, heading_rad: float, cfg: PushesConfig, rng: np.random.Generator
 ) -> float:
-    """The next action's heading: the last one, turned part of the way to the target, plus noise."""
+    """The next heading: the last one, turned part of the way to the target, plus normal noise."""
     to_target = np.arctan2(target_3[1] - tip_3[1], target_3[0] - tip_3[0])
     turn = (to_target - heading_rad + np.pi) % (2 * np.pi) - np.pi
-    return float(heading_rad + cfg.pull * turn + np.radians(cfg.noise_deg) * rng.normal())
+    noise = np.radians(cfg.heading_noise_deg) * rng.normal()
+    return float(heading_rad + cfg.recenter_gain * turn + noise)
 
 
 def draw_action(heading_rad: float, cfg: PushesConfig, rng: np.random.Generator) -> Floats:
@@ -168,25 +166,23 @@ def _direction(angle_rad: float) -> Floats:
     return np.array([np.cos(angle_rad), np.sin(angle_rad)])
 
 
-def _tip_start(
-    outline: shapely.Geometry,
+def _rod_start(
+    footprint: shapely.Geometry,
     center_xy: Floats,
     forward: Floats,
     cfg: PushesConfig,
     rod_radius_m: float,
     rng: np.random.Generator,
 ) -> Floats:
-    """Where a rod coming along ``forward``, off the centre by a random aim, is a clearance away
-    from the outline.
-    """
+    """Position of the tip (2) at the drawn clearance before the footprint along ``forward``."""
     side = np.array([-forward[1], forward[0]])
-    across = (shapely.get_coordinates(outline) - center_xy) @ side
-    offset = rng.uniform(-cfg.aim, cfg.aim) * (across.max() - across.min()) / 2
-    distances = np.arange(MARCH_FROM_M, 0.0, -MARCH_M)
+    across = (shapely.get_coordinates(footprint) - center_xy) @ side
+    offset = rng.uniform(-cfg.max_offset, cfg.max_offset) * (across.max() - across.min()) / 2
+    # Marching along the line finds the start for any footprint, convex or not.
+    distances = np.arange(MARCH_START_M, 0.0, -MARCH_STEP_M)
     line = center_xy + offset * side - distances[:, None] * forward
-    is_near = shapely.distance(shapely.points(line), outline) < rod_radius_m + rng.uniform(
-        *cfg.clearance_m
-    )
+    limit_m = rod_radius_m + rng.uniform(*cfg.clearance_m)
+    is_near = shapely.distance(shapely.points(line), footprint) < limit_m
     if not is_near.any() or is_near[0]:
         raise SceneRejected("the rod's line misses the object")
     return np.asarray(line[int(np.argmax(is_near)) - 1])
@@ -195,37 +191,29 @@ def _tip_start(
 def _place_next(
     mesh: "Mesh",
     body: Body,
-    first_xy: Floats,
+    pushed_xy: Floats,
     forward: Floats,
-    others: Sequence[shapely.Geometry],
+    occupied: Sequence[shapely.Geometry],
     cfg: PushesConfig,
     rng: np.random.Generator,
 ) -> tuple[Floats, shapely.Geometry]:
-    """Pose and outline of one more object: in the way of the pushed one, or anywhere free. Raises
-    Rejected.
-    """
+    """Pose and footprint of a further object: a blocker of the path, or anywhere free."""
     side = np.array([-forward[1], forward[0]])
-    is_ahead = rng.random() < cfg.ahead
-    for _ in range(TRIES):
+    is_blocker = rng.random() < cfg.blocker_prob
+    for _ in range(MAX_PLACEMENTS):
         yaw_rad = rng.uniform(-np.pi, np.pi)
-        pose = upright(
-            mesh, body, rng.uniform(-cfg.scatter.spread_m, cfg.scatter.spread_m, 2), yaw_rad
-        )
-        if is_ahead:
-            reach = (
-                _extent(others[0], first_xy, forward)
-                + aabb(mesh.visual.vertices * body.scale_3)[1][:2].mean() / 2
+        # Drawn for blockers too, so that both cases consume the same random numbers.
+        xy = rng.uniform(-cfg.scatter.spread_m, cfg.scatter.spread_m, 2)
+        if is_blocker:
+            front = ((shapely.get_coordinates(occupied[0]) - pushed_xy) @ forward).max()
+            # The mean horizontal side approximates the width at any yaw.
+            half_width = aabb(mesh.visual.vertices * body.scale_3)[1][:2].mean() / 2
+            beyond = (
+                pushed_xy + (float(front) + half_width + rng.uniform(*cfg.blocker_gap_m)) * forward
             )
-            beyond = first_xy + (reach + rng.uniform(*cfg.ahead_m)) * forward
-            pose = upright(
-                mesh, body, beyond + rng.uniform(-cfg.aside_m, cfg.aside_m) * side, yaw_rad
-            )
-        outline = body_footprint(mesh, body, pose)
-        if is_free(outline, others, cfg.scatter):
-            return pose, outline
+            xy = beyond + rng.uniform(-cfg.blocker_lateral_m, cfg.blocker_lateral_m) * side
+        pose = upright(mesh, body, xy, yaw_rad)
+        footprint = body_footprint(mesh, body, pose)
+        if is_free(footprint, occupied, cfg.scatter):
+            return pose, footprint
     raise SceneRejected("no room for an object")
-
-
-def _extent(outline: shapely.Geometry, center_xy: Floats, forward: Floats) -> float:
-    """How far an outline reaches from a point along a direction."""
-    return float(((shapely.get_coordinates(outline) - center_xy) @ forward).max())

@@ -1,6 +1,4 @@
-"""One episode in Bullet, drawn from its place in the dataset; and its re-run with other mass and
-friction.
-"""
+"""Simulation of one episode, determined by its place in the dataset, and replays of it."""
 
 import zlib
 from dataclasses import replace
@@ -24,9 +22,7 @@ TASKS = (PUSHING, FALLING)
 
 @params
 class SplitConfig:
-    """How many episodes, with how many objects each (the number is drawn uniformly; the falling one
-    counts).
-    """
+    """Number of episodes, and range of the uniform number of objects (the falling one counts)."""
 
     count: int
     min_objects: int
@@ -35,9 +31,7 @@ class SplitConfig:
 
 @params
 class SheetsConfig:
-    """The pages about a split: which camera its pictures come from, how many episodes get a contact
-    sheet.
-    """
+    """Contact sheets of a split: the index of their camera, and how many episodes have one."""
 
     camera: int
     count: int
@@ -45,7 +39,7 @@ class SheetsConfig:
 
 @params
 class EpisodesConfig:
-    """The section ``episodes`` of params.yaml; ``splits`` by task."""
+    """The section ``episodes`` of params.yaml; ``splits`` are by task, then by name."""
 
     seed: int
     num_workers: int
@@ -58,24 +52,20 @@ class EpisodesConfig:
     sheets: SheetsConfig
 
     def __post_init__(self) -> None:
-        """Raises ValueError (a ParamsError when read from params.yaml) for an unknown or missing
-        task.
-        """
+        """Raises ValueError (a ParamsError when read from a file) unless every task has splits."""
         if set(self.splits) != set(TASKS):
-            raise ValueError(
-                f"splits: expected exactly {', '.join(TASKS)}; found {', '.join(self.splits)}"
-            )
+            expected, found = ", ".join(TASKS), ", ".join(self.splits)
+            raise ValueError(f"splits: expected exactly {expected}; found {found}")
 
 
 def simulate(
     catalogue: "Catalogue", cfg: EpisodesConfig, task: str, split: str, index: int
 ) -> Episode:
-    """Episode ``index`` of a split: the first attempt that is not rejected. Same arguments, same
-    bytes.
+    """Episode ``index`` of a split: the first attempt that is not rejected; deterministic.
 
-    The split ``train`` uses the catalogue's training meshes, every other split its test meshes
-    (paper appendix B). Raises KeyError for an unknown split, ValueError for an unknown task,
-    Rejected when no attempt succeeds.
+    Split ``train`` uses the catalogue's training meshes, every other split its test meshes (paper
+    appendix B). Raises ValueError for an unknown task, KeyError for an unknown split, SceneRejected
+    after ``cfg.max_attempts`` rejected attempts.
     """
     if task not in TASKS:
         raise ValueError(f"unknown task {task!r}; there are: {', '.join(TASKS)}")
@@ -93,20 +83,20 @@ def simulate(
 
 
 def attempt_seed(seed: int, task: str, split: str, index: int, attempt: int) -> int:
-    """The seed (32 bits) of one attempt at one episode; ``Episode.seed`` is that of the attempt
-    that succeeded.
-    """
-    words = [seed, zlib.crc32(task.encode()), zlib.crc32(split.encode()), index, attempt]
-    return int(np.random.SeedSequence(words).generate_state(1)[0])
+    """Seed (32 bits) of an attempt; ``Episode.seed`` is that of the successful one."""
+    # CRC-32, as Python's own hash of a string differs between processes.
+    entropy = [seed, zlib.crc32(task.encode()), zlib.crc32(split.encode()), index, attempt]
+    return int(np.random.SeedSequence(entropy).generate_state(1)[0])
 
 
 def count_rejected(episode: Episode, cfg: EpisodesConfig) -> int:
-    """How many attempts were rejected before this episode's, which its seed tells."""
+    """Number of attempts rejected before the episode's, found by its seed.
+
+    Raises ValueError if no attempt under ``cfg`` has that seed.
+    """
     for attempt in range(cfg.max_attempts):
-        if (
-            attempt_seed(cfg.seed, episode.task, episode.split, episode.index, attempt)
-            == episode.seed
-        ):
+        seed = attempt_seed(cfg.seed, episode.task, episode.split, episode.index, attempt)
+        if seed == episode.seed:
             return attempt
     raise ValueError(f"episode {episode.index} has a seed that these params do not give")
 
@@ -114,8 +104,8 @@ def count_rejected(episode: Episode, cfg: EpisodesConfig) -> int:
 def replay(
     catalogue: "Catalogue", cfg: SimConfig, episode: Episode, mass_kg: float, friction: float
 ) -> Episode:
-    """The same start and actions, every body with this mass and friction: what Bullet foresees
-    without knowing them.
+    """The same start and actions with one mass and friction for all bodies: Bullet's forecast when
+    it does not know them.
     """
     bodies = tuple(replace(body, mass_kg=mass_kg, friction=friction) for body in episode.bodies)
     return replay_bodies(catalogue, cfg, episode, bodies)
@@ -124,9 +114,7 @@ def replay(
 def replay_bodies(
     catalogue: "Catalogue", cfg: SimConfig, episode: Episode, bodies: tuple[Body, ...]
 ) -> Episode:
-    """The episode's start and actions with these bodies in place of its own; its cameras and times
-    are kept.
-    """
+    """The same start, actions, cameras and times with other bodies."""
     first = episode.steps[0]
     with World(catalogue, cfg) as world:
         world.reset(bodies, first.world_T_obj_N44, first.tip_world_3 if episode.has_robot else None)
@@ -137,24 +125,20 @@ def replay_bodies(
             else:
                 world.run((old.t_ns - steps[-1].t_ns) // NS_PER_MS)
             steps.append(record(world, old.t_ns, old.cameras))
-    return replace(
-        episode, bodies=bodies, steps=tuple(steps), rod_rms_m=rms(squares) if squares else np.nan
-    )
+    rod_rms_m = rms(squares) if squares else np.nan
+    return replace(episode, bodies=bodies, steps=tuple(steps), rod_rms_m=rod_rms_m)
 
 
 def _attempt(
     world: World, cfg: EpisodesConfig, task: str, split: str, index: int, seed: int
 ) -> Episode:
-    """One attempt, all of it drawn from ``seed``. Raises Rejected or ReachError."""
     rng, camera_rng = (np.random.default_rng([seed, stream]) for stream in range(2))
     counts = cfg.splits[task][split]
     meshes = world.catalogue.split("train" if split == "train" else "test", task)
     num_objects = int(rng.integers(counts.min_objects, counts.max_objects + 1))
-    chance = EpisodeSampler(world, meshes, num_objects, rng, camera_rng)
+    sampler = EpisodeSampler(world, meshes, num_objects, rng, camera_rng)
     if task == PUSHING:
-        found = attempt_push(chance, cfg.pushes, cfg.settle)
+        found = attempt_push(sampler, cfg.pushes, cfg.settle)
     else:
-        found = attempt_drop(chance, cfg.falls, cfg.settle)
-    return Episode(
-        task, split, index, seed, found.bodies, found.actions_T3, found.steps, found.rod_rms_m
-    )
+        found = attempt_drop(sampler, cfg.falls, cfg.settle)
+    return Episode(task, split, index, seed, *vars(found).values())

@@ -1,11 +1,8 @@
-"""The world: one Bullet client with a table, the arm and some bodies; the only place where time
-passes.
-"""
+"""The world: one Bullet client with the table, the arm and bodies; only here does time pass."""
 
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -24,14 +21,12 @@ if TYPE_CHECKING:
 
 GRAVITY_M_S2 = 9.81
 NS_PER_MS = 1_000_000
-TABLE, ROBOT, FIRST_OBJECT = 0, 1, 2  # the order of Step.contact_AA
+TABLE, ROBOT, FIRST_OBJECT = 0, 1, 2  # rows of Step.contact_AA
 
 
 @params
 class PhysicsConfig:
-    """The clock and the table. ``timestep_ms`` is one action's; it must be a whole number of
-    physics steps.
-    """
+    """Clock, solver, table; ``timestep_ms`` is one action, a multiple of ``step_ms``."""
 
     step_ms: int
     timestep_ms: int
@@ -43,7 +38,7 @@ class PhysicsConfig:
 
 @params
 class SimConfig:
-    """Everything about the simulated world that does not depend on what happens in it."""
+    """The simulated world, independent of the task."""
 
     physics: PhysicsConfig
     robot: RobotConfig
@@ -53,23 +48,17 @@ class SimConfig:
 
 
 def count_steps(duration_ms: int, cfg: PhysicsConfig) -> int:
-    """Physics steps in ``duration_ms``. Raises ValueError unless it is a whole, positive number of
-    them.
-    """
+    """Number of physics steps in ``duration_ms``. Raises ValueError unless whole and positive."""
     if cfg.step_ms < 1 or duration_ms < 1 or duration_ms % cfg.step_ms:
-        raise ValueError(
-            f"{duration_ms} ms is no whole multiple of physics.step_ms = {cfg.step_ms}"
-        )
+        raise ValueError(f"{duration_ms} ms is no whole multiple of physics.step_ms {cfg.step_ms}")
     return duration_ms // cfg.step_ms
 
 
 class World:
-    """A context manager that owns one Bullet client (no window); ``reset`` starts each scene from
-    nothing.
-    """
+    """A context manager that owns one Bullet client; ``reset`` starts each scene from nothing."""
 
     def __init__(self, catalogue: "Catalogue", cfg: SimConfig) -> None:
-        """Raises ValueError when an action's timestep is no whole multiple of the physics step."""
+        """Raises ValueError if ``timestep_ms`` is no whole multiple of ``step_ms``."""
         self.catalogue, self.cfg = catalogue, cfg
         self.steps_per_action = count_steps(cfg.physics.timestep_ms, cfg.physics)
         self._folder = tempfile.TemporaryDirectory(prefix="oes-sim-")
@@ -79,19 +68,14 @@ class World:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._bullet.disconnect()
         self._folder.cleanup()
 
     def reset(
         self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_world_3: Floats | None
     ) -> None:
-        """Empty the world and set it up afresh, all at rest; no arm when ``tip_world_3`` is None.
+        """Set up a new scene at rest; without an arm if ``tip_world_3`` is None.
 
         Raises ReachError for a tip out of reach, KeyError for a mesh that the catalogue lacks.
         """
@@ -108,26 +92,25 @@ class World:
             set_pose(self._bullet, self._ids[-1], world_T_obj, self._obj_T_com[-1])
         self._placed = np.array(world_T_obj_N44, dtype=float).reshape(-1, 4, 4), tip_world_3
         self._is_fresh = True
-        self._thing_of = {body_id: thing_i for thing_i, body_id in enumerate(self._ids)}
+        self._index_of = {body_id: body_i for body_i, body_id in enumerate(self._ids)}
         self.clear_contacts()
 
     @property
     def arm(self) -> RodArm:
-        """The arm of a world that was reset with one."""
+        """The arm; the world must have been reset with one."""
         assert self._arm is not None, "this world has no arm"
         return self._arm
 
     def run(self, duration_ms: int) -> None:
-        """Let time pass; the arm, if there is one, holds still."""
+        """Advance time; the arm, if any, holds its position."""
         for _ in range(count_steps(duration_ms, self.cfg.physics)):
             self._advance()
 
     def push(self, action_3: Floats) -> Floats:
-        """Move the tip by ``action_3``, in a straight line from where it was last commanded, over
-        one timestep.
+        """Move the tip by ``action_3`` in a straight line over one timestep, then hold it.
 
-        Returns the squared distance (m2) of the tip from its commanded place after every physics
-        step; the arm is then told to hold. Raises ReachError before anything moves.
+        Returns the squared tracking error (m2) of the tip after every physics step. Raises
+        ReachError before anything moves.
         """
         joints, tips = self.arm.plan(action_3, self.steps_per_action)
         speeds = np.diff(joints, axis=0) / (self.cfg.physics.step_ms / 1000)
@@ -141,12 +124,9 @@ class World:
         return np.array(errors)
 
     def poses(self) -> Floats:
-        """``world_T_obj_N44`` now; until time passes, exactly the poses given to ``reset``.
-
-        Exactly, because contact amplifies the last bit of a start: an episode could not be replayed
-        otherwise.
-        """
+        """Current ``world_T_obj_N44``; until time passes, exactly the poses given to ``reset``."""
         if self._is_fresh:
+            # Contact amplifies the last bit of a start: without it no episode could be replayed.
             return self._placed[0]
         poses = [
             get_pose(self._bullet, body_id, obj_T_com)
@@ -155,16 +135,14 @@ class World:
         return np.array(poses).reshape(-1, 4, 4)
 
     def clear_contacts(self) -> None:
-        """Forget which things touched."""
-        self._touched = np.zeros((len(self._ids), len(self._ids)), dtype=bool)
+        """Forget all contacts."""
+        self._contact_AA = np.zeros((len(self._ids), len(self._ids)), dtype=bool)
 
     def step(self, t_ns: int, cameras: tuple[Camera, ...]) -> Step:
-        """The state now; the contacts are those since the last ``clear_contacts``."""
-        poses = self.poses()
-        boxes = [
-            true_box(self.catalogue.meshes[body.mesh], body, pose)
-            for body, pose in zip(self.bodies, poses, strict=True)
-        ]
+        """The current state, with all contacts since the last ``clear_contacts``."""
+        poses, meshes = self.poses(), self.catalogue.meshes
+        pairs = zip(self.bodies, poses, strict=True)
+        boxes = [true_box(meshes[body.mesh], body, pose) for body, pose in pairs]
         return Step(
             t_ns=t_ns,
             world_T_obj_N44=poses,
@@ -173,32 +151,32 @@ class World:
             tip_world_3=self._tip(),
             joints_rad_J=np.zeros(0) if self._arm is None else self._arm.joints(),
             world_T_link_L44=np.zeros((0, 4, 4)) if self._arm is None else self._arm.world_T_link(),
-            contact_AA=self.touched(),
+            contact_AA=self.contacts(),
             cameras=cameras,
         )
 
-    def touched(self) -> NDArray[np.bool_]:
-        """MM: which of table, robot and objects touched which since the last ``clear_contacts``."""
-        return self._touched.copy()
+    def contacts(self) -> NDArray[np.bool_]:
+        """Contact matrix AA of table, robot and objects since the last ``clear_contacts``."""
+        return self._contact_AA.copy()
 
     def _tip(self) -> Floats:
         if self._arm is None:
             return np.full(3, np.nan)
-        return (
-            self._placed[1] if self._is_fresh and self._placed[1] is not None else self._arm.tip()
-        )
+        start = self._placed[1] if self._is_fresh else None
+        return self._arm.tip() if start is None else start
 
     def _advance(self) -> None:
         self._is_fresh = False
         self._bullet.stepSimulation()
         for contact in self._bullet.getContactPoints():
-            if contact[9] > 0.0:  # normal force: a pair can be listed while still apart
-                a, b = self._thing_of[contact[1]], self._thing_of[contact[2]]
-                self._touched[a, b] = self._touched[b, a] = True
+            if contact[9] > 0.0:  # normal force: Bullet also lists pairs within its margin
+                a, b = self._index_of[contact[1]], self._index_of[contact[2]]
+                self._contact_AA[a, b] = self._contact_AA[b, a] = True
 
     def _empty(self) -> None:
         self._bullet.resetSimulation()
         self._bullet.setGravity(0, 0, -GRAVITY_M_S2)
+        # Determinism: a fixed order of pairs, and no meshes cached from an earlier scene.
         self._bullet.setPhysicsEngineParameter(
             fixedTimeStep=self.cfg.physics.step_ms / 1000,
             numSolverIterations=self.cfg.physics.solver_iterations,
@@ -207,24 +185,19 @@ class World:
         )
 
     def _table(self) -> int:
-        size = np.array(self.cfg.physics.table_size_m)
-        shape = self._bullet.createCollisionShape(
-            self._bullet.GEOM_BOX, halfExtents=(size / 2).tolist()
-        )
-        table = self._bullet.createMultiBody(0, shape, basePosition=[0, 0, -size[2] / 2])
-        self._bullet.changeDynamics(
-            table, -1, lateralFriction=self.cfg.physics.table_friction, restitution=0.0
-        )
+        bullet, physics = self._bullet, self.cfg.physics
+        half = np.array(physics.table_size_m) / 2
+        shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half.tolist())
+        table = bullet.createMultiBody(0, shape, basePosition=[0, 0, -half[2]])
+        friction = physics.table_friction
+        bullet.changeDynamics(table, -1, lateralFriction=friction, restitution=0.0)
         return int(table)
 
     def _load_arm(self, tip_world_3: Floats) -> RodArm:
-        body = self._bullet.loadURDF(
-            str(self._urdf), basePosition=self.cfg.robot.base_m, useFixedBase=True
-        )
-        for link_i in range(-1, self._bullet.getNumJoints(body)):
-            self._bullet.changeDynamics(
-                body, link_i, lateralFriction=self.cfg.physics.rod_friction, restitution=0.0
-            )
-        arm = RodArm(self._bullet, body, self.cfg.arm, self.cfg.robot)
+        bullet, robot, friction = self._bullet, self.cfg.robot, self.cfg.physics.rod_friction
+        body = bullet.loadURDF(str(self._urdf), basePosition=robot.base_m, useFixedBase=True)
+        for link_i in range(-1, bullet.getNumJoints(body)):
+            bullet.changeDynamics(body, link_i, lateralFriction=friction, restitution=0.0)
+        arm = RodArm(bullet, body, self.cfg.arm, robot)
         arm.reset_to(tip_world_3)
         return arm

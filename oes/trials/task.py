@@ -166,9 +166,10 @@ def _obstacles(
     if not taken[2].intersects(shapely.LineString(path_22).buffer(inner_m)):
         raise SceneRejected("the straight path is free")
     # Positions of the circumscribed disc; start and goal must lie in the same connected part.
-    table_edge = shapely.box(-table.rim_m, -table.rim_m, table.rim_m, table.rim_m)
+    edge_m = table.table_edge_m
+    table_box = shapely.box(-edge_m, -edge_m, edge_m, edge_m)
     blocked = shapely.union_all(taken[2:]).buffer(outer_m + cfg.gap_m)
-    free = shapely.get_parts(table_edge.buffer(-outer_m).difference(blocked))
+    free = shapely.get_parts(table_box.buffer(-outer_m).difference(blocked))
     if not any(part.contains(start) and part.contains(goal) for part in free):
         raise SceneRejected("no path is free")
     return np.array(poses)
