@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Generator, Tensor
 
 from oes.config import params
 from oes.dynamics.graph import yaw_rotation
@@ -41,14 +41,12 @@ class DynamicsBatch:
     rotation_BTN33: Tensor
 
 
-def augment(
-    batch: DynamicsBatch, cfg: Augment, voxel_m: float, generator: torch.Generator
-) -> DynamicsBatch:
+def augment(batch: DynamicsBatch, cfg: Augment, voxel_m: float, rng: Generator) -> DynamicsBatch:
     """Rotate and mirror every scene, and shift every reference point horizontally, at random."""
     scenes = len(batch.tip_B3)
-    angle_B = torch.rand(scenes, generator=generator) * 2 * torch.pi * cfg.rotate
-    flip_B = (torch.rand(scenes, generator=generator) < MIRROR_PROBABILITY) & cfg.mirror
-    normal_BN3 = torch.randn(batch.objects.center_N3.shape, generator=generator)
+    angle_B = torch.rand(scenes, generator=rng) * 2 * torch.pi * cfg.rotate
+    flip_B = (torch.rand(scenes, generator=rng) < MIRROR_PROBABILITY) & cfg.mirror
+    normal_BN3 = torch.randn(batch.objects.center_N3.shape, generator=rng)
     # Clamped at two standard deviations: a reference point far outside its object never occurs.
     shift_BN3 = normal_BN3.clamp(-2, 2) * cfg.shift_sigma_m
     shift_BN3[..., 2] = 0
@@ -129,10 +127,9 @@ def _transform_profiles(profile_BNRD3: Tensor, M_B33: Tensor, shift_BN3: Tensor)
 def _interpolate(profile_PCD: Tensor, first_row: int, direction_PRD2: Tensor) -> Tensor:
     """Values PRD of the R rows from ``first_row`` on, in directions of their own."""
     rows, count = direction_PRD2.shape[1:3]
-    row_PQ = torch.arange(first_row, first_row + rows).repeat_interleave(count)
-    found_PQ = row_radius_at(
-        profile_PCD, row_PQ.expand(len(profile_PCD), -1), direction_PRD2.flatten(1, 2)
-    )
+    row_Q = torch.arange(rows).repeat_interleave(count) + first_row
+    row_PQ = row_Q.expand(len(profile_PCD), -1)
+    found_PQ = row_radius_at(profile_PCD, row_PQ, direction_PRD2.flatten(1, 2))
     return found_PQ.reshape(direction_PRD2.shape[:-1])
 
 

@@ -72,7 +72,5 @@ def errors_and_spreads(
 ) -> tuple[Floats, Floats]:
     """Errors TP and spreads TP (metres) of a batch's P valid objects, for ``fit_error_model``."""
     error_BTN = (predicted_BTN3 - true_BTN3).norm(dim=-1)
-    error_TP, spread_TP = (
-        x_BTN.movedim(1, 0)[:, valid_BN].double().numpy() for x_BTN in (error_BTN, spread_BTN)
-    )
-    return error_TP, spread_TP
+    error_TP, spread_TP = (x.movedim(1, 0)[:, valid_BN] for x in (error_BTN, spread_BTN))
+    return error_TP.double().numpy(), spread_TP.double().numpy()

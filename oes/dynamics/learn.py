@@ -102,9 +102,7 @@ def training_examples(
     Raises ValueError when ``cfg.observations`` has none for its cameras, or no object is left.
     """
     if kind.CAMERAS not in (settings := cfg.observations):
-        raise ValueError(
-            f"dynamics.observations has no {kind.CAMERAS!r}; it has: {', '.join(settings)}"
-        )
+        raise ValueError(f"observations has no {kind.CAMERAS!r}; it has: {', '.join(settings)}")
     perceived = [
         (objects, truth.tolist(), scenes.episode(i))
         for setting in settings[kind.CAMERAS]

@@ -8,27 +8,16 @@ import torch
 from torch import Tensor
 
 from oes.config import params
+from oes.dynamics import graph
 from oes.dynamics.augment import transform_objects
 from oes.dynamics.encoders.crop_encoder import CropConfig, CropEncoder, fold
-from oes.dynamics.encoders.heightmap_encoder import (
-    HEIGHTMAP_EDGE_SCALARS,
-    HEIGHTMAP_NODE_SCALARS,
-    HeightmapEncoder,
-)
+from oes.dynamics.encoders.heightmap_encoder import HeightmapEncoder
 from oes.dynamics.encoders.surface_encoder import ContactConfig
-from oes.dynamics.graph import (
-    GraphConfig,
-    GraphFeatures,
-    GraphNet,
-    ObjectState,
-    StepMotion,
-    TipMotion,
-    conv_encoder,
-    mlp,
-)
+from oes.dynamics.graph import GraphFeatures, ObjectState, StepMotion, TipMotion
 from oes.dynamics.unroll import DynamicsModel
 from oes.objects import Objects, map_tensors
 
+MIRROR_33 = torch.diag(torch.tensor([1.0, -1.0, 1.0]))
 POSE_NUMBERS = 12  # rows of world_T_cam
 
 
@@ -44,7 +33,7 @@ class ImageEncoderConfig:
 class NetConfig:
     """Networks of one task: the graph of all models and the encoders of crops, images, surfaces."""
 
-    graph: GraphConfig
+    graph: graph.GraphConfig
     crop: CropConfig
     image: ImageEncoderConfig
     contact: ContactConfig
@@ -75,16 +64,11 @@ class GraphModel(DynamicsModel):
     USES_CROPS: ClassVar[bool] = False
     USES_IMAGES: ClassVar[bool] = False
     USES_SURFACES: ClassVar[bool] = False
-    mirror_33: Tensor
 
-    def __init__(
-        self, net: NetConfig, inputs: InputSpec, node_width: int = 0, edge_width: int = 0
-    ) -> None:
+    def __init__(self, net: NetConfig, inputs: InputSpec, node: int = 0, edge: int = 0) -> None:
         super().__init__()
         self.net, self.inputs = net, inputs
-        self.graph = GraphNet(net.graph, node_width, edge_width)
-        mirror_33 = torch.diag(torch.tensor([1.0, -1.0, 1.0]))
-        self.register_buffer("mirror_33", mirror_33, persistent=False)
+        self.graph = graph.GraphNet(net.graph, node, edge)
 
     @abstractmethod
     def encode(self, objects: Objects) -> Tensor:
@@ -99,7 +83,7 @@ class GraphModel(DynamicsModel):
         appearance_BNC = self.encode(objects)
         if self.training or not self.AVERAGES_MIRROR:
             return appearance_BNC
-        mirror_B33 = self.mirror_33.expand(len(appearance_BNC), 3, 3)
+        mirror_B33 = MIRROR_33.to(objects.center_N3).expand(len(appearance_BNC), 3, 3)
         shift_BN3 = torch.zeros_like(objects.center_N3)
         mirror = transform_objects(objects, mirror_B33, shift_BN3, self.inputs.voxel_m)
         return torch.cat([appearance_BNC, self.encode(mirror)], -1)
@@ -108,7 +92,7 @@ class GraphModel(DynamicsModel):
         """Motion of every object over one action."""
         if self.training or not self.AVERAGES_MIRROR:
             return self.step(appearance_BNC, state, tip)
-        mirror_33 = self.mirror_33
+        mirror_33 = MIRROR_33.to(state.center_BN3)
         # One batch of 2B scenes: two smaller steps take longer.
         motion = self.step(
             torch.cat(appearance_BNC.chunk(2, -1)),
@@ -150,9 +134,9 @@ class GraphXYZImage(GraphXYZ):
     def __init__(self, net: NetConfig, inputs: InputSpec) -> None:
         image = net.image
         super().__init__(net, inputs, image.width)
-        self.convs = conv_encoder(3, image.channels, kernel_px=3)
+        self.convs = graph.conv_encoder(3, image.channels, kernel_px=3)
         flat = image.channels[-1] * (inputs.image_side_px >> len(image.channels)) ** 2
-        self.head = mlp(flat + POSE_NUMBERS, image.width, 2)
+        self.head = graph.mlp(flat + POSE_NUMBERS, image.width, 2)
 
     def encode(self, objects: Objects) -> Tensor:
         """Mean BNC over the existing views."""
@@ -182,7 +166,7 @@ class OES(GraphModel):
     def __init__(self, net: NetConfig, inputs: InputSpec) -> None:
         crop, side, voxel_m = net.crop, inputs.crop_side, inputs.voxel_m
         self.is_slabs = crop.encoder == "slabs"
-        node, edge = (0, 0) if self.is_slabs else (HEIGHTMAP_NODE_SCALARS, HEIGHTMAP_EDGE_SCALARS)
+        node, edge = (0, 0) if self.is_slabs else HeightmapEncoder.NUM_SCALARS
         super().__init__(net, inputs, crop.width + node, crop.width + edge)
         self.encoder: CropEncoder | HeightmapEncoder
         if self.is_slabs:

@@ -13,16 +13,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from oes.config import params
-from oes.dynamics.graph import (
-    GraphFeatures,
-    ObjectState,
-    TipMotion,
-    conv_encoder,
-    mlp,
-    pair_indices,
-    scatter_pairs,
-    yaw,
-)
+from oes.dynamics import graph
+from oes.dynamics.graph import GraphFeatures, ObjectState, TipMotion
 
 BEHIND_CELLS = 5  # of the path window; the rest lies ahead of the tip
 MAX_PATH_DISTANCE_M = 0.07
@@ -62,8 +54,8 @@ class WindowNet(nn.Module):
 
     def __init__(self, inputs: int, cfg: CropConfig, side: int) -> None:
         super().__init__()
-        self.convs = conv_encoder(inputs, cfg.channels, kernel_px=4)
-        self.head = mlp(cfg.channels[-1] * (side >> len(cfg.channels)) ** 2, cfg.width, 2)
+        self.convs = graph.conv_encoder(inputs, cfg.channels, kernel_px=4)
+        self.head = graph.mlp(cfg.channels[-1] * (side >> len(cfg.channels)) ** 2, cfg.width, 2)
 
     def forward(self, image_CXY: Tensor) -> Tensor:
         """Features of images with any leading axes."""
@@ -90,7 +82,7 @@ class CropEncoder(nn.Module):
 
     def forward(self, slabs_BNCXY: Tensor, state: ObjectState, tip: TipMotion) -> GraphFeatures:
         """Features in the action's axes; ``slabs_BNCXY`` as at t = 0."""
-        slabs = (slabs_BNCXY, state.center_BN3.detach(), yaw(state.rotation_BN33.detach()))
+        slabs = (slabs_BNCXY, state.center_BN3.detach(), graph.yaw(state.rotation_BN33.detach()))
         num, axes_B33 = slabs_BNCXY.shape[1], tip.axes_B33()
         window_B1P3 = (self.window_P3 @ axes_B33.mT)[:, None]
         node = self.sample(slabs, slabs[1][:, :, None] + window_B1P3)
@@ -99,14 +91,14 @@ class CropEncoder(nn.Module):
         path = self._path_image(tip.action_B3)[:, None].expand(-1, num, -1, -1, -1)
         ends: list[Slabs] = [
             (slabs[0][:, i_E], slabs[1][:, i_E], slabs[2][:, i_E])
-            for i_E in pair_indices(num, axes_B33.device)
+            for i_E in graph.pair_indices(num, axes_B33.device)
         ]
         between_BEP3 = ((ends[0][1] + ends[1][1]) / 2)[:, :, None] + window_B1P3
         edge = torch.cat([self.sample(end, between_BEP3) for end in ends], 2)
         return GraphFeatures(
             node_BNC=self.node(node),
             agent_BNC=self.agent(torch.cat([near_path, path], 2)),
-            edge_BNNC=scatter_pairs(self.edge(edge), num),
+            edge_BNNC=graph.scatter_pairs(self.edge(edge), num),
         )
 
     def sample(self, slabs: Slabs, points_BNP3: Tensor) -> Tensor:

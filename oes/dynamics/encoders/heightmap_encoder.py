@@ -16,8 +16,6 @@ from oes.dynamics.graph import GraphFeatures, ObjectState, TipMotion, valid_pair
 NODE_MAPS, EDGE_MAPS = 4, 8  # channels of the window images
 GAP_SCALARS = 4  # existence, size and position (2) of the smallest gap
 SLOPE_SCALARS = 2  # along x and y
-HEIGHTMAP_NODE_SCALARS = GAP_SCALARS
-HEIGHTMAP_EDGE_SCALARS = 4 * (GAP_SCALARS + SLOPE_SCALARS)
 # Length scales of the soft minimum over a gap: for its position, and for the slope around it.
 GAP_SOFTNESS_M, SLOPE_SOFTNESS_M = 0.003, 0.006
 MAX_SLOPE = 3.0
@@ -34,6 +32,7 @@ class HeightmapEncoder(nn.Module):
     the centre).
     """
 
+    NUM_SCALARS = GAP_SCALARS, 4 * (GAP_SCALARS + SLOPE_SCALARS)  # of nodes, of edges
     voxels_P3: Tensor
     window_Q2: Tensor
 

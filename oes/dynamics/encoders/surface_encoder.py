@@ -101,9 +101,7 @@ class SurfaceEncoder(nn.Module):
             edge_BNNC=graph.scatter_pairs(self.edge(edge_BEPC, presence_BNP[:, i_E]), num),
         )
 
-    def points(
-        self, shapes: ObjectShapes, state: ObjectState, axes_B33: Tensor
-    ) -> tuple[Tensor, ...]:
+    def points(self, shapes: ObjectShapes, state: ObjectState, axes: Tensor) -> tuple[Tensor, ...]:
         """Points and normals BNP3 from the reference points, scaled sigmas BNP, presences BNP."""
         rows, stride = list(self.cfg.rows), self.cfg.direction_stride
         radius_BNRD = shapes.radius_BNRD[:, :, rows]
@@ -112,7 +110,7 @@ class SurfaceEncoder(nn.Module):
         layer_R = torch.tensor([max(row - LAYERS, 0) + 0.5 for row in rows])
         z_BNR = (layer_R * self.cfg.layer_height_m) + self._bottom(shapes)[..., None]
         z_BNRD1 = z_BNR[..., None].expand(radius_BNRD.shape)[..., None]
-        to_action_BN33 = state.rotation_BN33.mT @ axes_B33[:, None]
+        to_action_BN33 = state.rotation_BN33.mT @ axes[:, None]
         offset = torch.cat([xy_BNRD2, z_BNRD1], -1)
         normal = torch.cat([profile_normals(radius_BNRD), torch.zeros_like(z_BNRD1)], -1)
         vectors = (x[..., ::stride, :].flatten(2, 3) @ to_action_BN33 for x in (offset, normal))
@@ -170,26 +168,24 @@ class SurfaceEncoder(nn.Module):
         near = torch.cat(lengths, -1).clamp(-2 * FAR_M, 2 * FAR_M) / self.unit_m
         return torch.cat([near, exists_BNNP.float()[..., None]], -1)
 
-    def _gaps(
-        self, height_BN: Tensor, layers_ERD: Tensor, points_EP2: Tensor, z_BNNP: Tensor
-    ) -> Tensor:
+    def _gaps(self, height: Tensor, layers_ERD: Tensor, points_EP2: Tensor, z: Tensor) -> Tensor:
         """BNNP2: clearance of each point's layer above the sender's top and below its bottom.
 
         Measured along the point's vertical; negative when they overlap, ``NOWHERE_M`` where the
         sender has no surface. An object's highest layer ends at the top of its box.
         """
-        layer_m, count, points = self.cfg.layer_height_m, layers_ERD.shape[1], z_BNNP.shape[-1]
+        layer_m, count, points = self.cfg.layer_height_m, layers_ERD.shape[1], z.shape[-1]
         row_EQ = torch.arange(count).repeat_interleave(points).expand(len(layers_ERD), -1)
         radius_EQ = row_radius_at(layers_ERD, row_EQ, points_EP2.repeat(1, count, 1))
         is_over_EQ = radius_EQ > points_EP2.norm(dim=-1).repeat(1, count)
-        is_over_BNNRP = is_over_EQ.reshape(*z_BNNP.shape[:3], count, points)
+        is_over_BNNRP = is_over_EQ.reshape(*z.shape[:3], count, points)
         bottom_R1 = torch.arange(count)[:, None] * layer_m
-        top_BNR1 = (bottom_R1 + layer_m).minimum(height_BN[..., None, None])
+        top_BNR1 = (bottom_R1 + layer_m).minimum(height[..., None, None])
         sender_top_BNNP = torch.where(is_over_BNNRP, top_BNR1[:, None], -NOWHERE_M).amax(-2)
         sender_bottom_BNNP = torch.where(is_over_BNNRP, bottom_R1, NOWHERE_M).amin(-2)
         layer_R = torch.tensor(self.cfg.rows) - LAYERS
         layer_P = layer_R.repeat_interleave(points // len(layer_R))
-        own_top_BNP = ((layer_P + 1) * layer_m).minimum(height_BN[..., None])
+        own_top_BNP = ((layer_P + 1) * layer_m).minimum(height[..., None])
         above_BNP = own_top_BNP - (layer_P + 0.5) * layer_m
-        below_BNNP = sender_bottom_BNNP - (z_BNNP + above_BNP[:, :, None])
-        return torch.stack([z_BNNP - layer_m / 2 - sender_top_BNNP, below_BNNP], -1)
+        below_BNNP = sender_bottom_BNNP - (z + above_BNP[:, :, None])
+        return torch.stack([z - layer_m / 2 - sender_top_BNNP, below_BNNP], -1)
