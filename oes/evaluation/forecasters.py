@@ -1,5 +1,6 @@
-"""Forecasts of test episodes: by models from perceived objects, and by the simulator itself from
-the true state (paper section 4.1).
+"""Forecasts of test episodes (paper section 4.1).
+
+Models forecast from perceived objects; the simulator itself forecasts from the true state.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -78,8 +79,9 @@ class Forecast:
 
 @dataclass(frozen=True)
 class PerceivedScene:
-    """The first state of an episode as perceived; ``truth``: index of each object's match among the
-    true objects, -1 for none.
+    """The first state of an episode as perceived.
+
+    ``truth``: index of each object's match among the true objects, -1 for none.
     """
 
     episode_i: int
@@ -200,8 +202,9 @@ def _key(episode: Episode) -> tuple[str, int]:
 def to_gt_objects(
     scene: PerceivedScene, episode: Episode, translation_TN3: Floats, rotation_TN33: Floats
 ) -> Forecast:
-    """Transfer the motion of perceived objects, about their perceived centres, to the true objects;
-    undetected ones are forecast to stay.
+    """Forecast of true objects from the motion of perceived objects about their own centres.
+
+    Undetected objects are forecast to stay.
     """
     center_N3 = episode.steps[0].center_N3
     steps, num = len(episode.actions_T3), len(center_N3)

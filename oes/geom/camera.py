@@ -9,9 +9,7 @@ from oes.geom.se3 import Array, inverse, transform
 
 
 def intrinsics(fov_deg: float, width_px: int, height_px: int) -> Floats:
-    """``K_33`` of square pixels with vertical field of view ``fov_deg`` and a central principal
-    point.
-    """
+    """``K_33`` for a vertical field of view, square pixels and a central principal point."""
     focal = height_px / 2 / np.tan(np.radians(fov_deg) / 2)
     return np.array([[focal, 0, width_px / 2], [0, focal, height_px / 2], [0, 0, 1]])
 

@@ -50,8 +50,9 @@ def normal_deg(
 
 
 def error_quantile(level: float, sigma: Floats, dof: float) -> Floats:
-    """Quantiles ... of the norm of a 2D Student t with scales ``sigma`` and ``dof`` degrees of
-    freedom: P(|e| < r) = 1 - (1 + r^2 / (dof sigma^2))^(-dof / 2).
+    """Quantiles ... of the norm of a 2D Student t with scales ``sigma``.
+
+    P(|e| < r) = 1 - (1 + r^2 / (dof sigma^2))^(-dof / 2).
     """
     return np.asarray(sigma) * float(np.sqrt(dof * ((1 - level) ** (-2 / dof) - 1)))
 

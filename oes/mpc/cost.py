@@ -15,9 +15,7 @@ SAMPLES_PER_PUSH = 6  # points of each stroke of the rod that are tested for col
 
 @params
 class AvoidConfig:
-    """Obstacle avoidance: objects and rod keep ``margin_m``; a violation costs
-    ``collision_cost_m`` (in metres of remaining distance).
-    """
+    """Distance that objects and rod keep from obstacles, and the cost of coming closer."""
 
     margin_m: float
     collision_cost_m: float

@@ -16,9 +16,7 @@ class DistanceField:
     """Distance (metres) from the nearest obstacle on a grid; infinite without obstacles."""
 
     def __init__(self, points_P2: Floats, cell_m: float, half_m: float) -> None:
-        """``points_P2``: centres of occupied cells of side ``cell_m``; the table spans
-        [-``half_m``, ``half_m``] along x and y.
-        """
+        """``points_P2``: occupied cells of side ``cell_m``; ``half_m``: the table's half width."""
         self.half_m, self.is_empty = half_m, not len(points_P2)
         axis = np.arange(-half_m, half_m + GRID_M, GRID_M)
         self._distance_XY: Floats = np.full((len(axis), len(axis)), np.inf)
@@ -50,9 +48,7 @@ class GeodesicDistance:
         circles: list[tuple[Floats, float]],
         radius_m: float,
     ) -> None:
-        """``circles``: centre and radius of a circle around each obstacle; ``radius_m``: of the
-        moving disc.
-        """
+        """``circles``: centre and radius around each obstacle; ``radius_m``: of the disc."""
         self.clearance, self.radius_m = clearance, radius_m
         corners = [self._corners(*circle) for circle in circles]
         self._node_P2 = np.concatenate([[goal_2], *corners])

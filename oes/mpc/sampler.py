@@ -31,9 +31,9 @@ class PushConfig:
 
 @params
 class PlannerConfig:
-    """Random shooting (``iterations`` = 1) or CEM with ``num_candidates`` plans of
-    ``horizon_steps`` actions an iteration.
+    """Random shooting (``iterations`` = 1) or the cross-entropy method.
 
+    ``num_candidates``: plans per iteration, of ``horizon_steps`` actions each.
     ``num_elites``: plans around which the next iteration samples.
     ``goal_bias``: share of first-iteration pushes that head for the goal.
     ``heading_std_deg``: std of headings around the goal direction or an elite.
@@ -54,9 +54,7 @@ class PlannerConfig:
     num_samples: int
 
     def __post_init__(self) -> None:
-        """Raises ValueError (a ParamsError when read from params.yaml) on num_reranked <
-        num_elites.
-        """
+        """Raises ValueError for fewer reranked plans than elites."""
         if self.num_reranked < self.num_elites:
             raise ValueError(
                 f"num_reranked must be at least num_elites ({self.num_elites}); "

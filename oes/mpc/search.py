@@ -62,8 +62,10 @@ Cost = Callable[[Rollouts], Tensor]  # cost ST of every plan if it stopped after
 
 @dataclass(frozen=True)
 class RiskConfig:
-    """Reranking under uncertainty: the ``num_reranked`` cheapest plans by the nominal rollout are
-    unrolled ``num_samples`` times each and cost mean + ``risk_weight`` * standard deviation.
+    """Reranking of the cheapest plans under uncertainty.
+
+    The ``num_reranked`` plans with the lowest nominal costs are unrolled ``num_samples`` times and
+    then cost mean + ``risk_weight`` * standard deviation.
     """
 
     num_reranked: int

@@ -83,11 +83,11 @@ def rotate_2d(vector_2: Tensor, angle: Tensor) -> Tensor:
 
 
 class Bodies(NamedTuple):
-    """``RigidBodies`` for the compiled kernels; vertices and supports are relative to the centre of
-    mass.
+    """``RigidBodies`` as arrays for the kernels.
 
-    ``radius_BN`` bounds both profiles, ``normal_BND2`` are outward normals of ``profile_BND``,
-    ``has_rod_BN`` is False where the rod can touch nothing.
+    Vertices and supports are relative to the centre of mass. ``radius_BN`` bounds both profiles,
+    ``normal_BND2`` are outward normals of ``profile_BND``, ``has_rod_BN`` is False where the rod
+    can touch nothing.
     """
 
     rod_profile_BND: Floats

@@ -149,9 +149,7 @@ def _nearest_point(vertex_D2: Floats, x: float, y: float) -> tuple[int, float, f
 def _pair_contact(
     bodies: Bodies, b: int, i: int, j: int, pose_N3: Floats, contact_9: Floats
 ) -> None:
-    """Contact at the vertex of body ``i`` that is deepest in body ``j``, along j's normal there;
-    z components are left to the caller.
-    """
+    """Contact, but for z, at the vertex of ``i`` that is deepest in ``j``, along j's normal."""
     contact_9[:] = 0.0
     contact_9[0], contact_9[1], contact_9[8] = -1.0, -0.0, np.inf
     dx, dy = pose_N3[i, 0] - pose_N3[j, 0], pose_N3[i, 1] - pose_N3[j, 1]

@@ -71,8 +71,10 @@ def update_manifold(manifold: Manifold, contact_BN7: Floats, state: State) -> No
 
 @jit
 def _slot(manifold: Manifold, b: int, n: int, point_3: Floats) -> int:
-    """Slot of a new point: of the nearest point within the breaking distance, else a free one, else
-    of the point whose replacement leaves the largest contact area.
+    """Slot of a new point.
+
+    It replaces the nearest point within the breaking distance, else takes a free slot, else
+    replaces the point that leaves the largest contact area.
     """
     point_43, count = manifold.point_BN43[b, n], manifold.count_BN[b, n]
     slot, least = -1, manifold.breaking_BN[b, n] * manifold.breaking_BN[b, n]

@@ -26,10 +26,10 @@ PLANAR = [0, 1, 5]  # components of a 6D twist that lie in the plane
 def simulate_push(
     bodies: RigidBodies, state: PlanarState, tip_B2: Tensor, action_B2: Tensor, cfg: ContactPhysics
 ) -> PlanarState:
-    """State after the rod's tip has moved from ``tip_B2`` by ``action_B2`` (metres) in
-    ``cfg.step_s``. No gradient flows through it.
+    """State after the rod's tip has moved from ``tip_B2`` by ``action_B2`` (metres).
 
-    Scenes are divided among torch's threads; their number does not change the result.
+    No gradient flows through it. Scenes are divided among torch's threads; their number does not
+    change the result.
     """
     count = max(1, min(torch.get_num_threads(), len(tip_B2) // MIN_SCENES))
     bounds = [len(tip_B2) * i // count for i in range(count + 1)]

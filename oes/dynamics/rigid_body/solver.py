@@ -33,8 +33,7 @@ def solve_contacts(
     rows: ContactRows,
     settings: tuple[float, float, int],
 ) -> None:
-    """Change the twists so that no contact of an active body closes further than its gap within a
-    substep, and sliding obeys the friction cone.
+    """Change the twists of active bodies to satisfy non-penetration and the friction cone.
 
     ``manifolds``: with table and rod; ``rows``: work space; ``settings``: spinning friction
     (metres), substep (seconds) and number of iterations.
