@@ -16,7 +16,7 @@ NUM_SCALES = 3  # resolutions at which images are compared
 MIN_CHANGE = 0.06  # smallest difference (0 to 1) of a pixel that counts as changed
 MAX_GOAL = 0.8  # goals stay this close to the image's centre along each axis
 BEYOND = 9.0  # coordinate of absent objects, so that they are sorted last
-Loss = Callable[[nn.Module, Clips], dict[str, Tensor]]
+ClipsLoss = Callable[[nn.Module, Clips], dict[str, Tensor]]
 
 
 @params
@@ -30,7 +30,7 @@ class PlanetLossConfig:
     goal_range: float
 
 
-def foresight_loss(changed_pixel_weight: float) -> Loss:
+def foresight_loss(changed_pixel_weight: float) -> ClipsLoss:
     """Multi-scale L1 error of the next image, on single steps.
 
     A pixel that changes counts ``1 + changed_pixel_weight`` times.
@@ -57,7 +57,7 @@ def foresight_loss(changed_pixel_weight: float) -> Loss:
     return loss
 
 
-def planet_loss(cfg: PlanetLossConfig, mean_3HW: Tensor) -> Loss:
+def planet_loss(cfg: PlanetLossConfig, mean_3HW: Tensor) -> ClipsLoss:
     """Image and reward errors of whole clips, and the KL divergence of posterior and prior."""
 
     def loss(net: nn.Module, clips: Clips) -> dict[str, Tensor]:

@@ -68,7 +68,9 @@ def forecast_poses(poses: PoseTable, rotation_N33: Tensor, translation_N3: Tenso
 
 
 @torch.inference_mode()
-def decompose(perceiver: Perceiver, scene: SceneFeatures, objects: Objects) -> DecomposedScene:
+def decompose_scene(
+    perceiver: Perceiver, scene: SceneFeatures, objects: Objects
+) -> DecomposedScene:
     """Split one scene (B = 1) into its objects and the background."""
     near, far = perceiver.fields(scene)
     map_CXYZ, grid, window = near.volume_BCXYZ[0], near.grid, perceiver.net.roi.window

@@ -1,6 +1,7 @@
 """Errors of counterfactual forecasts: of motions, images, features and detections."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -24,20 +25,18 @@ PHOTOGRAPH, ENCODED = "photograph", "encoded"
 FutureRow = dict[str, float | int | str | None]
 
 
+@dataclass(frozen=True)
 class FutureEvaluator:
-    """Compares composed futures of one unedited episode with the recorded ones."""
+    """Compares composed futures of one unedited episode with the recorded ones.
 
-    def __init__(
-        self,
-        perceiver: Perceiver,
-        source: FrameSource,
-        scenario: Scenario,
-        camera_is: tuple[int, Sequence[int]],
-    ) -> None:
-        """``camera_is``: the input camera, and the cameras to render."""
-        self.perceiver, self.source, self.scenario = perceiver, source, scenario
-        self.episode, self.episode_i = scenario.episode, scenario.scene.episode_i
-        self.input_i, self.query_is = camera_is
+    ``input_i``: the input camera. ``query_is``: the cameras to render.
+    """
+
+    perceiver: Perceiver
+    source: FrameSource
+    scenario: Scenario
+    input_i: int
+    query_is: Sequence[int]
 
     def renders(
         self,
@@ -51,14 +50,14 @@ class FutureEvaluator:
         Image errors of objects count the pixels of an object now or in the first state, unless the
         robot covers them then, as its features do not move. ``renderer`` is the episode's.
         """
-        frames, cameras = self.source.read(self.episode_i, T, self.query_is)
-        initial = renderer.render(mesh_poses(self.episode.steps[0]), cameras)
+        frames, cameras = self._images(T)
+        initial = renderer.render(mesh_poses(self.scenario.episode.steps[0]), cameras)
         segs = (frames.seg_VHW, initial.seg_VHW)
         is_object = (segs[0] >= SEG_FIRST_OBJECT) | (segs[1] >= SEG_FIRST_OBJECT)
         is_robot = (segs[0] == SEG_ROBOT) | (segs[1] == SEG_ROBOT)
-        images = self.source.read(self.episode_i, T, [self.input_i])
+        images = self.source.read(self.scenario.scene.episode_i, T, [self.input_i])
         encoded = self.perceiver.fields(self.perceiver.encode(*images))
-        in_box_XYZ = _in_boxes(self.episode, T, encoded[0].grid)
+        in_box_XYZ = _in_boxes(self.scenario.episode, T, encoded[0].grid)
         true_features = visible_features(encoded[0])[:, in_box_XYZ]
         fields = {
             name: (compose(scene, motion.poses(self.scenario.poses, T)), scene.far_field)
@@ -78,15 +77,15 @@ class FutureEvaluator:
     ) -> Iterator[FutureRow]:
         """Detections of each composed object in one rendered view at a time."""
         poses = motion.poses(self.scenario.poses, T)
-        _, cameras = self.source.read(self.episode_i, T, self.query_is)
+        _, cameras = self._images(T)
         frames = self.perceiver.render_fields(compose(scene, poses), scene.far_field, cameras)
         center_N3 = (scene.center_N3[poses.source_N] + poses.translation_N3).double().numpy()
         yield from self._detection_rows(T, name, frames, cameras, center_N3)
 
     def detector_baseline(self, T: int) -> Iterator[FutureRow]:
         """The same for recorded images and true objects: the detector's share of the error."""
-        frames, cameras = self.source.read(self.episode_i, T, self.query_is)
-        center_N3 = self.episode.steps[T].center_N3
+        frames, cameras = self._images(T)
+        center_N3 = self.scenario.episode.steps[T].center_N3
         yield from self._detection_rows(T, PHOTOGRAPH, frames, cameras, center_N3)
 
     def _detection_rows(
@@ -109,8 +108,12 @@ class FutureEvaluator:
                 "spread_mm": _mean_distance_mm(list(combinations(detected, 2))),
             }
 
+    def _images(self, T: int) -> tuple[Frames, tuple[Camera, ...]]:
+        return self.source.read(self.scenario.scene.episode_i, T, self.query_is)
+
     def _keys(self, T: int, source: str) -> FutureRow:
-        return {"task": self.episode.task, "episode_i": self.episode_i, "T": T, "source": source}
+        task, episode_i = self.scenario.episode.task, self.scenario.scene.episode_i
+        return {"task": task, "episode_i": episode_i, "T": T, "source": source}
 
 
 def _mean_distance_mm(pairs: Sequence[tuple[Floats, ...]]) -> float | None:

@@ -11,7 +11,7 @@ from torch import Tensor
 from oes.counterfactual.compose import (
     DecomposedScene,
     PoseTable,
-    decompose,
+    decompose_scene,
     forecast_poses,
     initial_poses,
 )
@@ -75,7 +75,7 @@ def perceive_first_state(
     truth = match_detections(centers, episode.steps[0].center_N3).tolist()
     scene = PerceivedScene(episode_i, 1, objects, truth)
     scenario = Scenario("as it was", episode, scene, initial_poses(len(truth)))
-    return scenario, decompose(perceiver, features, objects)
+    return scenario, decompose_scene(perceiver, features, objects)
 
 
 @torch.inference_mode()

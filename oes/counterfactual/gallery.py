@@ -19,8 +19,8 @@ from oes.sim.world import SimConfig
 from oes.viz.overlay import PUSH, CameraOverlay, Pixels
 from oes.viz.video import sheet, write_video
 
-ROD_M = 0.12  # length of the line that shows the rod
-FPS, HOLD_FRAMES = 3, 4  # states per second of videos, and repetitions of the last one
+ROD_LINE_M = 0.12  # drawn above the tip
+VIEWS_FPS, HOLD_FRAMES = 3, 4  # states per second of videos, and repetitions of the last one
 
 LabelledRows = list[tuple[str, list[Pixels]]]
 
@@ -52,7 +52,7 @@ class FutureRenderer:
             frames = self.perceiver.render_fields(near, self.scene.far_field, [camera])
             image = CameraOverlay(frames.rgb_VHW3[0], camera, 1)
             if np.isfinite(tip_3).all():
-                image.line(np.stack([tip_3, tip_3 + np.array([0.0, 0.0, ROD_M])]), PUSH)
+                image.line(np.stack([tip_3, tip_3 + np.array([0.0, 0.0, ROD_LINE_M])]), PUSH)
             images.append(image.pixels)
         return images
 
@@ -92,7 +92,7 @@ def write_gallery(
         np.hstack([np.vstack([images[T] for _, images in view]) for view in views])
         for T in range(len(unedited.simulated.steps))
     ]
-    write_video([*frames, *frames[-1:] * HOLD_FRAMES], folder / f"views-{name}.mp4", FPS)
+    write_video([*frames, *frames[-1:] * HOLD_FRAMES], folder / f"views-{name}.mp4", VIEWS_FPS)
     edits = [row for future in futures for row in renderer.both(future, models[0], input_camera)]
     _save(folder / f"edits-{name}.png", edits)
 

@@ -96,8 +96,9 @@ class FuturesRunner:
         futures = list(run_counterfactuals(scenario, edits, cfg.edits, window, rng, world))
         tables: dict[str, list[FutureRow]] = {}
         if episode_i < cfg.num_rendered:
-            camera_is = (input_is[0], cfg.cameras)
-            evaluator = FutureEvaluator(self.perceiver, self.source, scenario, camera_is)
+            evaluator = FutureEvaluator(
+                self.perceiver, self.source, scenario, input_is[0], cfg.cameras
+            )
             tables = self._evaluate(evaluator, scene, futures[0])
         if episode_i < cfg.num_shown:
             self._show(futures, scene, input_is, gallery)
