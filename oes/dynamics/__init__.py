@@ -1,7 +1,7 @@
 """Object dynamics: models that forecast motion from perceived objects, and their training.
 
-May import ``config``, ``geom``, ``objects``, ``metrics`` and ``training``; never the simulator or
-the renderer. Start with ``unroll`` (the interface of all models), then ``graph`` and ``models``.
+May import ``config``, ``schema``, ``geom``, ``objects``, ``metrics`` and ``training``; never the
+simulator. Start with ``unroll`` (the interface of all models), then ``graph`` and ``models``.
 """
 
 from torch import nn

@@ -52,6 +52,7 @@ class Contact(GraphModel):
 
     def sample(self, appearance_BNC: Tensor) -> Tensor:
         """Packed surfaces of all samples; the same deviations in every call."""
+        # Common random numbers: all plans and steps are compared on the same samples.
         generator = torch.Generator().manual_seed(SEED)
         uncertainty = self.net.contact.uncertainty
         return self._unpack(appearance_BNC).sample(uncertainty, generator).pack()

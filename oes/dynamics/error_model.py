@@ -44,6 +44,7 @@ def fit_error_model(error_TP: Floats, spread_TP: Floats) -> ErrorModel:
     steps = len(error_TP)
     initial = np.append(np.log(np.median(error_TP, 1) + MM_M), [0.0, np.log(INITIAL_DOF)])
     best = _minimize_nll(error_TP, spread_TP, initial)
+    # Spreads of 0 leave the floors as the only scale.
     homoscedastic = _minimize_nll(error_TP, 0 * spread_TP, best)
     return ErrorModel(
         floor_T=tuple(np.exp(best[:steps]).tolist()),
@@ -63,6 +64,7 @@ def _minimize_nll(error_TP: Floats, spread_TP: Floats, initial: Floats) -> Float
         sigma_TP = np.hypot(floor_T[:, None], spread_gain * spread_TP)
         return float(np.mean(error_nll(error_TP / MM_M, sigma_TP / MM_M, MIN_DOF + np.exp(x[-1]))))
 
+    # Logarithms keep all parameters positive.
     bounds = [(np.log(MIN_SIGMA_M), 0.0)] * steps + [(-5.0, 5.0), (-5.0, 5.0)]
     return np.asarray(minimize(mean_nll, initial, method="L-BFGS-B", bounds=bounds).x)
 

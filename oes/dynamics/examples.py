@@ -36,6 +36,7 @@ class Examples:
             raise ValueError(f"validation_share must be between 0 and 1, not {validation_share}")
         episodes = torch.unique(self.episode_U)
         num_validation = max(1, round(validation_share * len(episodes)))
+        # A fixed seed: all models are validated on the same episodes.
         is_validation = np.random.default_rng(0).permutation(len(episodes)) < num_validation
         validation_U = torch.isin(self.episode_U, episodes[torch.from_numpy(is_validation)])
         return (~validation_U).nonzero()[:, 0], validation_U.nonzero()[:, 0]

@@ -123,6 +123,7 @@ class GraphNet(nn.Module):
         vectors = [state.velocity_BN3 / unit_m, state.displacement_BN3 / unit_m]
         vectors.append(state.rotation_BN33[..., 2])
         vectors += [state.omega_BN3] if self.angular_velocity else []
+        # Row vectors times world_R_action: components along the action's axes.
         geometry_BNC = (torch.stack(vectors, -2) @ axes_B133).flatten(-2)
         height_BN1 = state.center_BN3[..., 2:] / unit_m
         node_BNC = torch.cat([features.node_BNC, geometry_BNC, height_BN1], -1)

@@ -22,6 +22,7 @@ def loss_terms(
     valid_BTN = batch.objects.valid_N[:, None].expand(translation.shape[:-1])
 
     def mean(x_BTNC: Tensor) -> Tensor:
+        # Pseudo-Huber: quadratic near 0, where a norm would have no gradient.
         norm_BTN = (x_BTNC.square().sum(-1) + smoothing**2).sqrt() - smoothing
         return (norm_BTN * valid_BTN).sum() / valid_BTN.sum()
 
@@ -31,6 +32,7 @@ def loss_terms(
 def errors(found: Rollout, batch: DynamicsBatch) -> dict[str, float]:
     """Mean errors of valid objects at T = 1, 3, 5, if forecast: ``mm_1``, ``deg_1``, ``mm_3``..."""
     distance_BTN = (found.translation_BTN3 - batch.translation_BTN3).norm(dim=-1)
+    # The chord |R' - R| determines the angle: exact for small ones, unlike the trace.
     chord_BTN = (found.rotation_BTN33 - batch.rotation_BTN33).flatten(-2).norm(dim=-1)
     angle_BTN = 2 * (chord_BTN / 8**0.5).clamp(max=1).asin()
     valid_BN = batch.objects.valid_N

@@ -76,6 +76,7 @@ class ObjectShapes:
         samples, batch = cfg.num_samples, len(self.com_BN3)
         noise_MD = _fourier_noise(samples, self.radius_BNRD.shape[-1], cfg.harmonics, generator)
         normal_M5 = torch.randn(samples, 5, generator=generator)
+        # Sample 0 stays as perceived.
         noise_MD[0], normal_M5[0] = 0, 0
         noise = noise_MD.repeat_interleave(batch, 0)[:, None, None]
         normal = normal_M5.repeat_interleave(batch, 0)[:, None]
@@ -177,6 +178,7 @@ def _fourier_noise(num: int, count: int, harmonics: int, generator: torch.Genera
     """``num`` random periodic functions of ``count`` directions, of mean square 1."""
     angle_D = torch.arange(count) * (2 * math.pi / count)
     phase_CD = torch.arange(1, harmonics + 1)[:, None] * angle_D
+    # A factor of sqrt 2 gives every basis function a mean square of 1.
     sines = 2**0.5 * phase_CD.cos(), 2**0.5 * phase_CD.sin()
     basis_CD = torch.cat([torch.ones(1, count), *sines])
     weight_MC = torch.randn(num, len(basis_CD), generator=generator) / math.sqrt(len(basis_CD))

@@ -80,6 +80,7 @@ def train_dynamics(
     validation = examples.batch(validation_U)
 
     def batch_at(step: int) -> DynamicsBatch:
+        # Depends on the step alone: a resumed run sees the same batches.
         generator = torch.Generator().manual_seed(fit_cfg.seed * 1_000_003 + step)
         i_B = torch.randint(len(train_U), (fit_cfg.batch,), generator=generator)
         return augment(examples.batch(train_U[i_B]), cfg.augment, cfg.voxel_m, generator)

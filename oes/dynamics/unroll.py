@@ -92,6 +92,7 @@ def unroll_mean(
     count = model.num_samples
     if count == 1:
         return unroll_samples(model, appearance_BNC, state, tip_B3, actions_BT3)
+    # Samples are stacked along the batch axis.
     each = unroll_samples(
         model,
         model.sample(appearance_BNC),

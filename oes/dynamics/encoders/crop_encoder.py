@@ -108,6 +108,7 @@ class CropEncoder(nn.Module):
         """
         slabs_BNCXY, center_BN3, yaw_BN = slabs
         x_BNP, y_BNP, _ = (points_BNP3 - center_BN3[:, :, None]).unbind(-1)
+        # Inverse rotation: from the current pose back to t = 0, where the slabs are given.
         cos, sin = yaw_BN.cos()[..., None], yaw_BN.sin()[..., None]
         first_BNP2 = torch.stack([cos * x_BNP + sin * y_BNP, cos * y_BNP - sin * x_BNP], -1)
         # grid_sample wants (last axis, second to last axis), in units of half the crop.
