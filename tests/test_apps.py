@@ -35,32 +35,31 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_evaluate_makes_table_1_of_a_folder_of_meshes(
+def test_evaluate_reports_on_a_folder_of_meshes(
     study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (study / "mine").mkdir()
     trimesh.creation.box((0.08, 0.06, 0.05)).export(study / "mine" / "brick.stl")
     trimesh.creation.cylinder(0.04, 0.05).export(study / "mine" / "puck.obj")
     (study / "mine" / "broken.stl").write_text("not a mesh")
-    evaluate.main(load(study / "params.yaml", "evaluate", EvaluateConfig), study / "mine")
-    out = study / "build" / "evaluate-mine"
+    cfg = load(study / "params.yaml", "evaluate", EvaluateConfig)
+    evaluate.main(cfg, study / "mine", episodes=2, keep_episodes=True)
+    out = study / "build" / "evaluate-mine-2"
     printed = capsys.readouterr().out
-    assert printed == (out / "table1.md").read_text()
+    assert printed == (out / "report.md").read_text()
     assert "Profile meshes of mine; episodes: 2 test" in printed
-    for label in (
-        "3 views, true boxes",
-        "1 view, true boxes",
-        "1 view, predicted boxes",
-        "graph-XYZ",
-        "3D-OES",
-    ):
+    assert "2 meshes accepted" in printed and "1 rejected" in printed
+    for label in ("1 view, predicted boxes", "graph-XYZ", "3D-OES / graph-XYZ", "AP at IoU 0.5"):
         assert label in printed
+    for name in ("table1", "ratios", "errors", "detector", "detections", "views"):
+        assert (out / f"{name}.csv").is_file()
     with (out / "table1.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert {row["model"] for row in rows} == {"oes", "graph_xyz"} and {
-        row["n"] for row in rows
-    } <= {"1", "2", "3", "4"}
-    assert not list((study / ".work").rglob("*.mcap")), "the episodes are not left behind"
+    assert {row["model"] for row in rows} == {"oes", "graph_xyz"}
+    assert {row["n"] for row in rows} <= {"1", "2", "3", "4"}
+    assert "broken.stl" in (out / "rejected.csv").read_text()
+    assert len(list((out / "episodes").rglob("*.mcap"))) == 2
+    assert not list((study / ".work").rglob("*.mcap"))
 
 
 def test_evaluate_refuses_what_it_cannot_use(study: Path) -> None:

@@ -69,7 +69,7 @@ def aggregate(raw: RawData, scenarios: Iterable[str], seed: int) -> pd.DataFrame
     """All aggregates of a study."""
     parts = [error_aggregates(errors, seed) for errors in raw.errors.values()]
     rows = [
-        *(row for task, found in raw.detections.items() for row in _detector(found, task)),
+        *(row for task, found in raw.detections.items() for row in detector_aggregates(found, task)),
         *(row for (task, split), card in raw.cards.items() for row in _capture(card, task, split)),
         *(row for scenario in scenarios for row in trial_aggregates(raw.trials, scenario)),
         *_image_forecasts(raw),
@@ -217,7 +217,7 @@ def _plausibility(errors: pd.DataFrame, task: TaskSpec) -> Iterator[Row]:
             yield about | {"metric": metric, "mean": _mean(values), "n": len(values)}
 
 
-def _detector(rows: pd.DataFrame, task: str) -> Iterator[Row]:
+def detector_aggregates(rows: pd.DataFrame, task: str) -> Iterator[Row]:
     """By number of views: AP of novel objects; of matched detections mask IoU, centre error,
     Chamfer distance and normal error of the completed surface; counts of objects and boxes.
     """
