@@ -5,7 +5,7 @@ import math
 import torch
 from shapely import Point, Polygon
 
-from oes.geom.polar import profile_points, directions, profile_normals, radius_at, row_radius_at
+from oes.geom.polar import directions, profile_normals, profile_points, radius_at
 
 
 def ellipse(a: float = 0.04, b: float = 0.025, count: int = 256) -> torch.Tensor:
@@ -18,12 +18,13 @@ def test_radii_are_interpolated_between_directions_across_the_wrap() -> None:
     offset_112 = torch.tensor(
         [[[math.cos(angle), math.sin(angle)]] for angle in (0.5 * math.pi / 4, -math.pi / 8)]
     )
-    found = radius_at(radius_1D.expand(2, -1), offset_112)
+    lowest_21 = torch.zeros(2, 1, dtype=torch.long)
+    found = radius_at(radius_1D.expand(2, 1, -1), lowest_21, offset_112)
     torch.testing.assert_close(
         found, torch.tensor([[0.5], [3.5]]), msg="between 0 and 1; between 7 and 0"
     )
     rows_1RD = torch.stack([radius_1D, radius_1D + 10], 1)
-    both = row_radius_at(rows_1RD, torch.tensor([[0, 1]]), offset_112[:1].expand(1, 2, 2))
+    both = radius_at(rows_1RD, torch.tensor([[0, 1]]), offset_112[:1].expand(1, 2, 2))
     torch.testing.assert_close(both, torch.tensor([[0.5, 10.5]]))
 
 

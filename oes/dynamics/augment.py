@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from oes.config import params
 from oes.dynamics.graph import yaw_rotation
-from oes.geom.polar import directions, row_radius_at
+from oes.geom.polar import directions, radius_at
 from oes.objects import Objects
 
 MIRROR_PROBABILITY = 0.5
@@ -129,7 +129,7 @@ def _interpolate(profile_PCD: Tensor, first_row: int, direction_PRD2: Tensor) ->
     rows, count = direction_PRD2.shape[1:3]
     row_Q = torch.arange(rows).repeat_interleave(count) + first_row
     row_PQ = row_Q.expand(len(profile_PCD), -1)
-    found_PQ = row_radius_at(profile_PCD, row_PQ, direction_PRD2.flatten(1, 2))
+    found_PQ = radius_at(profile_PCD, row_PQ, direction_PRD2.flatten(1, 2))
     return found_PQ.reshape(direction_PRD2.shape[:-1])
 
 

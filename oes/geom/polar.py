@@ -16,14 +16,11 @@ def directions(count: int, device: torch.device | None = None) -> Tensor:
     return torch.stack([angle_D.cos(), angle_D.sin()], -1)
 
 
-def radius_at(radius_PD: Tensor, offset_PQ2: Tensor) -> Tensor:
-    """Radii PQ towards points given from the axis, interpolated linearly between directions."""
-    row_PQ = torch.zeros(offset_PQ2.shape[:-1], dtype=torch.long, device=offset_PQ2.device)
-    return row_radius_at(radius_PD[:, None], row_PQ, offset_PQ2)
+def radius_at(radius_PRD: Tensor, row_PQ: Tensor, offset_PQ2: Tensor) -> Tensor:
+    """Radii PQ towards points given from the axis, each in one row of stacked profiles.
 
-
-def row_radius_at(radius_PRD: Tensor, row_PQ: Tensor, offset_PQ2: Tensor) -> Tensor:
-    """As ``radius_at``, of stacked profiles of which each point takes the row ``row_PQ``."""
+    They are interpolated linearly between directions.
+    """
     count = radius_PRD.shape[-1]
     angle_PQ = torch.atan2(offset_PQ2[..., 1], offset_PQ2[..., 0])
     position_PQ = angle_PQ * (count / (2 * math.pi))

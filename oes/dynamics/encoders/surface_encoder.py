@@ -11,7 +11,7 @@ from oes.dynamics import graph
 from oes.dynamics.graph import NOWHERE_M, GraphFeatures, ObjectState, TipMotion
 from oes.dynamics.rigid_body.bodies import ContactPhysics
 from oes.dynamics.shapes import ObjectShapes, ShapeUncertainty
-from oes.geom.polar import directions, profile_normals, row_radius_at
+from oes.geom.polar import directions, profile_normals, radius_at
 from oes.objects import LAYERS
 
 NODE_CHANNELS = 9  # offset, normal, sigma and presence of a point, and its height above the table
@@ -158,7 +158,7 @@ class SurfaceEncoder(nn.Module):
         layers_ERD = layers_BNRD[:, None].expand(-1, num, -1, -1, -1).flatten(0, 2)
         points_EP2, top = first_BNNP3[..., :2].flatten(0, 2), layers_BNRD.shape[2] - 1
         layer_BNNP = (height_BNNP / layer_height_m).floor().long()
-        radius_EP = row_radius_at(layers_ERD, layer_BNNP.clamp(0, top).flatten(0, 2), points_EP2)
+        radius_EP = radius_at(layers_ERD, layer_BNNP.clamp(0, top).flatten(0, 2), points_EP2)
         radius_BNNP = radius_EP.reshape(height_BNNP.shape)
         depth_BNNP = radius_BNNP - first_BNNP3[..., :2].norm(dim=-1)
         exists_BNNP = (layer_BNNP >= 0) & (layer_BNNP <= top) & (radius_BNNP > 0)
@@ -176,7 +176,7 @@ class SurfaceEncoder(nn.Module):
         """
         layer_m, count, points = self.cfg.layer_height_m, layers_ERD.shape[1], z.shape[-1]
         row_EQ = torch.arange(count).repeat_interleave(points).expand(len(layers_ERD), -1)
-        radius_EQ = row_radius_at(layers_ERD, row_EQ, points_EP2.repeat(1, count, 1))
+        radius_EQ = radius_at(layers_ERD, row_EQ, points_EP2.repeat(1, count, 1))
         is_over_EQ = radius_EQ > points_EP2.norm(dim=-1).repeat(1, count)
         is_over_BNNRP = is_over_EQ.reshape(*z.shape[:3], count, points)
         bottom_R1 = torch.arange(count)[:, None] * layer_m
