@@ -69,7 +69,11 @@ def aggregate(raw: RawData, scenarios: Iterable[str], seed: int) -> pd.DataFrame
     """All aggregates of a study."""
     parts = [error_aggregates(errors, seed) for errors in raw.errors.values()]
     rows = [
-        *(row for task, found in raw.detections.items() for row in detector_aggregates(found, task)),
+        *(
+            row
+            for task, found in raw.detections.items()
+            for row in detector_aggregates(found, task)
+        ),
         *(row for (task, split), card in raw.cards.items() for row in _capture(card, task, split)),
         *(row for scenario in scenarios for row in trial_aggregates(raw.trials, scenario)),
         *_image_forecasts(raw),

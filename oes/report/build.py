@@ -59,7 +59,7 @@ def write_report(
     write_json(summary(tree), out / "summary.json")
     pages = fill_pages(groups, media)
     write_pages(pages, opening, results_block(tree), out)
-    write_site(out / "index.html", opening, facts(frame), results_table(tree), pages, tree)
+    write_site(out / "index.html", opening, facts(frame), results_table(tree), pages)
 
 
 def _episodes(raw: RawData) -> dict[str, int]:

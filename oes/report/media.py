@@ -54,8 +54,8 @@ def copy_images(inputs: Inputs, tasks: Iterable[str], out: Path) -> list[Media]:
 def copy_films(
     inputs: Inputs, trials: pd.DataFrame, scenarios: Iterable[str], out: Path
 ) -> list[Media]:
-    """Films of futures from three cameras, and of 3D-OES's last success and failure in each
-    scenario, as small MP4; ``films/push.gif`` shows the last success around an obstacle.
+    """Films of futures from three cameras, and of 3D-OES's shortest success and failure in each
+    scenario, as small MP4; ``films/push.gif`` shows that success around an obstacle.
     """
     folder, media = out / "films", []
     for task in TASKS:
@@ -66,7 +66,8 @@ def copy_films(
     for scenario in scenarios:
         own = trials[(trials["scenario"] == scenario) & (trials["model"] == OURS)]
         for is_success in (True, False):
-            for row in own[(own["success"] == is_success) & (own["video"] != "")][-1:].itertuples():
+            filmed = own[(own["success"] == is_success) & (own["video"] != "")]
+            for row in filmed.sort_values("steps_used", kind="stable")[:1].itertuples():
                 source = inputs.trials / f"{scenario}-{OURS}" / str(row.video)
                 target = folder / f"{scenario}-{source.name}"
                 write_film(source, target)
@@ -92,11 +93,15 @@ def write_film(source: Path, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(source)) as container:
         fps = container.streams.video[0].average_rate
-        frames = [frame.to_image() for frame in container.decode(video=0)]
-    write_video(map(_film_size, frames), target, round(fps or 1))
+        frames = [
+            _film_size(frame.to_ndarray(format="rgb24").astype(np.uint8))
+            for frame in container.decode(video=0)
+        ]
+    write_video(frames, target, round(fps or 1))
 
 
-def _film_size(image: Image.Image) -> Pixels:
+def _film_size(pixels: Pixels) -> Pixels:
+    image = Image.fromarray(pixels)
     scale = min(1, FILM_WIDTH_PX / image.width)
     width, height = (int(length * scale) // 2 * 2 for length in image.size)
     return np.asarray(image.resize((width, height), Image.Resampling.LANCZOS))

@@ -95,7 +95,7 @@ def _ratio_places(row: Row) -> list[Place]:
 
 
 def _capture_places(row: Row) -> list[Place]:
-    by_T = () if pd.isna(row["T"]) else (row["T"],)
+    by_T: tuple[int, ...] = () if pd.isna(row["T"]) else (row["T"],)
     at = row["key"], row["metric"], *by_T
     return [(at, row["mean"])] if row["group"] == "train" else []
 
@@ -132,7 +132,7 @@ _SPECIAL: dict[str, Callable[[Row], list[Place]]] = {
 _KEYS = {"image_forecast": "video", **dict.fromkeys(("renders", "consistency", "edits"), "futures")}
 
 
-def summary(tree: Tree) -> Tree:
+def summary(tree: Mapping[str, Any]) -> Tree:
     """The few numbers that ``dvc metrics show`` prints, from the tree of metrics.json."""
     found: Tree = {}
     for task in TASKS:
@@ -154,7 +154,7 @@ def summary(tree: Tree) -> Tree:
     return found
 
 
-def headline_ratios(tree: Tree) -> list[str]:
+def headline_ratios(tree: Mapping[str, Any]) -> list[str]:
     """A line per model: its error over that of graph-XYZ at the last T, in every task."""
     parts: dict[str, list[str]] = {}
     for task in TASKS:
@@ -168,7 +168,7 @@ def headline_ratios(tree: Tree) -> list[str]:
     return [f"{MODELS[model]} over graph-XYZ: {'; '.join(each)}." for model, each in parts.items()]
 
 
-def _ratios(tree: Tree, task: str) -> dict[str, Tree]:
+def _ratios(tree: Mapping[str, Any], task: str) -> dict[str, Tree]:
     """By model and metric: 3D-OES and Contact over graph-XYZ at the last T."""
     ours = tree.get(_key("ratio", task), {}).get(f"{OURS}/{BASELINE}", {}).get(VARIED, {})
     contact = tree.get("contact_ratio", {}).get(task, {}).get(BASELINE, {})
@@ -193,10 +193,12 @@ def write_plots(frame: pd.DataFrame, logs: pd.DataFrame, folder: Path) -> None:
 
 def _write_wide(rows: pd.DataFrame, axes: tuple[str, str], path: Path) -> None:
     if rows.empty:
-        path.write_text(f"{axes[0]}\n", encoding="utf-8")
+        path.write_text(f"{axes[0]},{axes[1]}\n", encoding="utf-8")
         return
     lines = rows["task"] + "_" + rows["model"]
     wide = rows.assign(line=lines).pivot(index=axes[0], columns="line", values=axes[1])
+    # DVC breaks a line at an empty cell; models log at different steps.
+    wide = wide.interpolate(method="index", limit_area="inside")
     wide[list(dict.fromkeys(lines))].round(4).to_csv(path, lineterminator="\n")
 
 

@@ -1,11 +1,9 @@
 """reports/index.html: all pages in one file that needs no network."""
 
-import json
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -58,12 +56,7 @@ def facts(frame: pd.DataFrame) -> list[Fact]:
 
 
 def write_site(
-    path: Path,
-    opening: Sequence[str],
-    shown: Sequence[Fact],
-    results: Table,
-    pages: Sequence[Page],
-    metrics: Mapping[str, Any],
+    path: Path, opening: Sequence[str], shown: Sequence[Fact], results: Table, pages: Sequence[Page]
 ) -> None:
     """Write the page; media are read from ``path``'s folder. Raises FileNotFoundError."""
     environment = Environment(
@@ -71,18 +64,13 @@ def write_site(
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters["inside"] = lambda name: _inside(path.parent / name)
-    compact = json.dumps(metrics, separators=(",", ":"), allow_nan=False).encode()
     text = environment.get_template("index.html.jinja").render(
         opening=opening, facts=shown, results=results, pages=pages, note=CONTACT_NOTE,
-        highlighted={label(OURS), label(CONTACT)}, metrics=_uri(compact, "application/json"),
+        highlighted={label(OURS), label(CONTACT)},
     )  # fmt: skip
     path.write_text(text, encoding="utf-8")
 
 
 def _inside(path: Path) -> str:
     """A file as a data URI."""
-    return _uri(path.read_bytes(), TYPES[path.suffix])
-
-
-def _uri(content: bytes, kind: str) -> str:
-    return f"data:{kind};base64,{b64encode(content).decode()}"
+    return f"data:{TYPES[path.suffix]};base64,{b64encode(path.read_bytes()).decode()}"

@@ -231,7 +231,13 @@ def calibration_group(frame: pd.DataFrame) -> TableGroup:
                 _of(rows, task=task), ("model", "group", "T"), "metric"
             )
         ]
-        header = ("model", "input", "T", "sigma (mm)", "coverage of 50% / 90% intervals")
+        header: tuple[str, ...] = (
+            "model",
+            "input",
+            "T",
+            "sigma (mm)",
+            "coverage of 50% / 90% intervals",
+        )
         header += ("NLL", "NLL, homoscedastic", "n")
         tables.append(_table(f"{str(task).capitalize()}, novel objects", header, cells))
     return _group("calibration", "Calibration of uncertainty", tables, rows, CALIBRATION_NOTE)
@@ -281,7 +287,7 @@ def trial_group(frame: pd.DataFrame, scenario: str) -> TableGroup:
                 *(f"{mean['pushes']:.1f}", f"{mean['did_not_run']:.0f}"),
             )
         )
-    head = ("planner", "model", "trials", "success [95%]", "p", "every object")
+    head: tuple[str, ...] = ("planner", "model", "trials", "success [95%]", "p", "every object")
     head += ("pushes", "did not run")
     tables = [
         _table("Success", (*head[:6], "collided with an obstacle", "paper (50 trials)"), success),
@@ -312,7 +318,13 @@ def detector_group(frame: pd.DataFrame, task: str) -> TableGroup:
         )
         for (key,), by in _lines(rows, ("group",), "metric")
     ]
-    header = ("input", "AP at IoU 0.25", "AP at IoU 0.5", "mask IoU", "centre error (mm)")
+    header: tuple[str, ...] = (
+        "input",
+        "AP at IoU 0.25",
+        "AP at IoU 0.5",
+        "mask IoU",
+        "centre error (mm)",
+    )
     header += ("surface: Chamfer (mm)", "normals (deg)", "true objects / detections")
     table = _table(f"{task.capitalize()}, novel objects", header, cells)
     title = f"Detection in 3D, {task}"
@@ -449,7 +461,7 @@ def results_table(tree: Mapping[str, Any]) -> Table:
         )
         for model in (*models, CONTACT, "simulator")
     ]
-    header = ("model", "pushing, T=1", "T=3", "T=5", "falling, T=5")
+    header: tuple[str, ...] = ("model", "pushing, T=1", "T=3", "T=5", "falling, T=5")
     header += ("targets (shooting / cem)", "around an obstacle")
     return Table("Mean errors and shares of successful trials", header, tuple(cells))
 
