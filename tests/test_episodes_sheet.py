@@ -52,7 +52,7 @@ class Page(HTMLParser):
 def write_split(folder: Path, count: int) -> None:
     for index in range(count):
         episode = make_episode(seed=index)
-        bodies = tuple(replace(body, mesh=f"<i>{body.mesh}&") for body in episode.bodies)
+        bodies = tuple(replace(body, mesh=f"<i>{body.mesh}&$^$") for body in episode.bodies)
         write_episode(
             replace(episode, bodies=bodies), make_frames(episode), folder / f"traj_{index:06d}"
         )

@@ -149,7 +149,8 @@ def charts(episode: Episode) -> Pixels:
     names = ["table", "rod", *(f"{i + 1} {body.mesh}" for i, body in enumerate(episode.bodies))]
     pairs = contact_pairs(episode)
     contacts.set(title="contacts, except with the table", xlabel="state", xlim=(0, states[-1] or 1))
-    contacts.set_yticks(range(len(pairs)), [f"{names[a]} / {names[b]}" for a, b in pairs])
+    labels = [f"{names[a]} / {names[b]}" for a, b in pairs]
+    contacts.set_yticks(range(len(pairs)), labels, parse_math=False)  # names are no formulas
     for row, (a, b) in enumerate(pairs):
         spans = [(i - 1, 1) for i in states if i and episode.steps[i].contact_AA[a, b]]
         contacts.broken_barh(spans, (row - 0.3, 0.6), color=_colour(b - FIRST_OBJECT))
