@@ -15,7 +15,7 @@ from oes.perception.network import PerceptionNet
 from oes.perception.objects_file import (
     ObjectsError,
     Observation,
-    concatenate,
+    concat,
     pack,
     read_objects,
     write_objects,
@@ -72,7 +72,7 @@ def test_observations_come_back_as_written_even_those_without_objects(tmp_path: 
         Observation(6, "b", (1,), random_objects(1, 1), np.array([0]), gt_surface(1)),
     ]
     shards = [pack(observations[:2], ["a", "b"], 3), pack(observations[2:], ["a", "b"], 3)]
-    write_objects(tmp_path / "o.safetensors", concatenate(shards), ["a", "b"])
+    write_objects(tmp_path / "o.safetensors", concat(shards), ["a", "b"])
     store = read_objects(tmp_path / "o.safetensors")
     assert store.observations("b") == [0, 2] and store.observations("a") == [1] and len(store) == 3
     assert [store.episode(i) for i in range(3)] == [4, 4, 6] and store.views(0) == (7, 3)

@@ -1,5 +1,6 @@
 """The surface head, ground-truth radial profiles, and point clouds of profiles."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -52,6 +53,7 @@ FIT = TrainConfig(
 TRAINING = SurfaceTraining(
     num_objects=48, center_jitter_m=0.0, size_jitter=0.0, scale=(1.0, 1.0), fit=FIT
 )
+EPISODES = (range(10), range(10, 12))
 BRICK = Body("brick", "box", np.ones(3), 0.2, 0.4, 0)
 
 
@@ -160,11 +162,10 @@ def test_the_head_is_equivariant_to_turns_and_batches_mirror_with_the_world() ->
 
 
 def test_training_the_head_reduces_its_error_and_changes_nothing_else(tmp_path: Path) -> None:
-    perceiver, world = make_perceiver(), BoxWorld(12)
+    perceiver = make_perceiver()
     before = {name: value.clone() for name, value in perceiver.net.state_dict().items()}
-    rows = train_surface(
-        perceiver, world, box_gt_profiles(), TRAINING, (range(10), range(10, 12)), tmp_path
-    )
+    sampler = SurfaceSampler(perceiver, BoxWorld(12), box_gt_profiles(), TRAINING)
+    rows = train_surface(sampler, EPISODES, tmp_path)
     errors = [row["val_union_mm"] for row in rows if row.get("val_union_mm") is not None]
     assert errors[-1] < 9.0, errors
     for name, value in perceiver.net.state_dict().items():
@@ -172,12 +173,7 @@ def test_training_the_head_reduces_its_error_and_changes_nothing_else(tmp_path: 
             assert torch.equal(value, before[name]), name
     (tmp_path / "again").mkdir()
     other = train_surface(
-        make_perceiver(),
-        world,
-        box_gt_profiles(),
-        TRAINING,
-        (range(10), range(10, 12)),
-        tmp_path / "again",
+        replace(sampler, perceiver=make_perceiver()), EPISODES, tmp_path / "again"
     )
     assert other[-1]["loss"] == rows[-1]["loss"], "the same seed"
 

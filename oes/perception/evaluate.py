@@ -75,7 +75,7 @@ def detection_rows(
     gt_N = match_detections(centers.double().numpy(), truth.center_N3)
     hits = np.flatnonzero(gt_N >= 0).tolist()
     boxes = centers[hits], sizes[hits]
-    mask_NXYZ = perceiver.crops(scene, boxes[0][None], boxes[1][None])[0, :, 0].float().cpu()
+    mask_NXYZ = perceiver.crops(scene, boxes)[:, 0].float().cpu()
     solids = [truth.solids[i] for i in gt_N[hits]]
     masks = mask_ious(mask_NXYZ, boxes[0], perceiver.net.roi.window, solids)
     surfaces = [truth.surfaces[i] for i in gt_N[hits]]
@@ -107,7 +107,7 @@ def _surface_errors(
     surfaces: Sequence[tuple[Floats, Floats]],
 ) -> list[tuple[float, float]]:
     """Chamfer distance (mm) and error of the normals (degrees) of completed surfaces."""
-    profile_NRD3 = perceiver.surfaces(scene, *boxes, mask_NXYZ)[0].float().cpu()
+    profile_NRD3 = perceiver.surfaces(scene, boxes, mask_NXYZ)[0].float().cpu()
     support_N3 = support_points(*boxes)
     top_N = boxes[0][:, 2] + boxes[1][:, 2] / 2 - support_N3[:, 2]
     cylinder, errors = perceiver.net.cfg.surface.cylinder, []

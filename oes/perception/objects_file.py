@@ -144,7 +144,7 @@ def pack(
     return {name: tensors[name].to(dtype).contiguous() for name, dtype in DTYPES.items()}
 
 
-def concatenate(shards: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+def concat(shards: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
     """Concatenation of the results of ``pack``; observations are renumbered."""
     start, renumbered = 0, []
     for shard in shards:

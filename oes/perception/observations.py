@@ -18,16 +18,11 @@ from oes.config import params
 from oes.episode import Ints
 from oes.meshes.catalogue import TRAIN
 from oes.objects import Objects
-from oes.perception.evaluate import (
-    PerceptionRow,
-    detection_rows,
-    gt_objects,
-    match_detections,
-    view_row,
-)
+from oes.perception import evaluate
+from oes.perception.evaluate import PerceptionRow
 from oes.perception.gt_profiles import GroundTruthProfiles
 from oes.perception.network import SceneFeatures
-from oes.perception.objects_file import OBJECTS_FORMAT, ObjectsError, Observation, concatenate, pack
+from oes.perception.objects_file import OBJECTS_FORMAT, ObjectsError, Observation, concat, pack
 from oes.perception.perceiver import Perceiver
 from oes.perception.samples import Source
 from oes.perception.solids import Solids
@@ -47,11 +42,8 @@ class Setting:
     boxes: str
 
 
-TRAIN_SETTINGS = {
-    "train1": Setting(1, JITTERED),
-    "train2": Setting(2, JITTERED),
-    "train3": Setting(3, JITTERED),
-    "fixed": Setting(FIXED, JITTERED),
+TRAIN_SETTINGS = {f"train{count}": Setting(count, JITTERED) for count in (1, 2, 3)} | {
+    "fixed": Setting(FIXED, JITTERED)
 }
 TEST_SETTINGS = {
     "3views_gt": Setting(3, GT),
@@ -143,13 +135,12 @@ class ScenePerceiver:
                 )
             if self.solids is not None and self.settings[names[0]].views in SCORED_VIEWS:
                 key: PerceptionRow = {"episode": episode_i, "step": 0, "num_views": len(views)}
-                truth = gt_objects(episode, 0, self.solids)
-                detections += [key | row for row in detection_rows(self.perceiver, scene, truth)]
-                # The last camera belongs to no set of views, so its image is unknown.
-                query_i = order[-1]
-                query = all_frames.of([query_i]), all_cameras[query_i]
-                row = view_row(self.perceiver, scene, *query)
-                predictions.append(key | {"camera": query_i} | row)
+                truth = evaluate.gt_objects(episode, 0, self.solids)
+                rows = evaluate.detection_rows(self.perceiver, scene, truth)
+                detections += [key | row for row in rows]
+                query = all_frames.of(order[-1:]), all_cameras[order[-1]]
+                row = evaluate.view_row(self.perceiver, scene, *query)
+                predictions.append(key | {"camera": order[-1]} | row)
         return observations, detections, predictions
 
     def _gt_surface(self, episode_i: int, objects: Objects, gt_N: Ints) -> tuple[Tensor, Tensor]:
@@ -166,7 +157,10 @@ class ScenePerceiver:
         return radius_NRD, com_N3 - objects.center_N3
 
     def _view_sets(self, order: Sequence[int]) -> Iterator[tuple[list[int], list[str]]]:
-        """Sets of views to encode, each with the settings that use it; ``order`` of the cameras."""
+        """Sets of views to encode, each with the settings that use it.
+
+        The last camera of ``order`` is in no random set: its view is predicted.
+        """
         if self.solids is None:
             left = list(order)
             for name, count in self.cfg.train_observations.items():
@@ -195,14 +189,13 @@ class ScenePerceiver:
         center_N3, size_N3, cfg = step.center_N3, step.size_N3, self.cfg
         if kind == PREDICTED:
             centers, sizes, scores = (value.float().cpu() for value in self.perceiver.detect(scene))
-            gt_N = match_detections(centers.double().numpy(), center_N3)
+            gt_N = evaluate.match_detections(centers.double().numpy(), center_N3)
             return (centers, sizes, scores), gt_N
         if kind == JITTERED:
             center_N3 = center_N3 + rng.normal(0, cfg.center_jitter_m, center_N3.shape)
             size_N3 = size_N3 * np.exp(rng.normal(0, cfg.size_jitter, size_N3.shape))
-        count = len(center_N3)
-        centers, sizes = torch.from_numpy(center_N3).float(), torch.from_numpy(size_N3).float()
-        return (centers, sizes, torch.ones(count)), np.arange(count)
+        boxes = torch.from_numpy(center_N3).float(), torch.from_numpy(size_N3).float()
+        return (*boxes, torch.ones(len(center_N3))), np.arange(len(center_N3))
 
 
 def perceive_split(
@@ -225,7 +218,7 @@ def perceive_split(
     found = [read_tensors(path, OBJECTS_FORMAT, ObjectsError) for path in shards]
     rows = [json.loads(about["rows"]) for _, about in found]
     detections, views = ([row for both in rows for row in both[i]] for i in (0, 1))
-    return concatenate([tensors for tensors, _ in found]), detections, views
+    return concat([tensors for tensors, _ in found]), detections, views
 
 
 def _write_shard(scenes: ScenePerceiver, episode_is: range, path: Path) -> None:

@@ -78,75 +78,70 @@ class Perceiver:
             return self.net.detect(scene)
 
     @torch.inference_mode()
-    def crops(self, scene: SceneFeatures, centers_BN3: Tensor, sizes_BN3: Tensor) -> Tensor:
-        """Object crops BNCXYZ centred at the boxes; only the first channel extends beyond a voxel
-        around the mask.
+    def masks(self, scene: SceneFeatures, boxes: tuple[Tensor, Tensor]) -> Tensor:
+        """Mask probabilities NXYZ of one scene's boxes, in ``net.roi.window`` around each centre.
 
-        Channels: mask probability; position relative to the surfaces in the depth images (0 in
-        front, 1/2 on them, 1 behind); whether all views are occluded; then the scene features.
+        ``boxes`` are centres N3 and sizes N3 everywhere.
         """
-        boxes, window = (
-            (centers_BN3.to(self.device), sizes_BN3.to(self.device)),
-            self.net.roi.window,
-        )
-        if centers_BN3.numel() == 0:
-            channels = 1 + NUM_SURFACE + self.net.cfg.map_features
-            return centers_BN3.new_zeros(*centers_BN3.shape[:2], channels, *window.shape)
+        center_N3, size_N3 = (value.to(self.device) for value in boxes)
         with half_precision(self.device):
-            mask_BNXYZ = self.net.regions(scene, boxes).mask_BKXYZ.sigmoid()
-            scene_map = self.net.scene_map(scene)
-        dilated = F.max_pool3d(mask_BNXYZ, 3, stride=1, padding=1)[:, :, None]
-        features = crop(scene_map, self.net.cfg.grid, boxes[0], window)
-        depth = self._depth_channels(scene, boxes[0])
-        return torch.cat([mask_BNXYZ[:, :, None], depth * dilated, features * dilated], dim=2)
+            return self.net.regions(scene, (center_N3[None], size_N3[None])).mask_BKXYZ[0].sigmoid()
 
-    def _depth_channels(self, scene: SceneFeatures, centers_BN3: Tensor) -> Tensor:
-        """The geometric channels BN2XYZ of ``crops``."""
-        window = self.net.roi.window
-        points = centers_BN3[:, :, None] + centers(window, self.device).reshape(-1, 3)
-        features = scene.features_BVHWC[..., :1]
-        lifted = lift(self.net.cfg.lift, scene.views, features, points.flatten(1, 2)).float()
-        channels = torch.stack([(1 - lifted[..., SIGNED]) / 2, lifted[..., UNSEEN]], dim=-1)
-        return channels.reshape(*centers_BN3.shape[:2], *window.shape, NUM_SURFACE).movedim(-1, 2)
+    @torch.inference_mode()
+    def crops(self, scene: SceneFeatures, boxes: tuple[Tensor, Tensor]) -> Tensor:
+        """Object crops NCXYZ of one scene; N may be 0.
+
+        Channels: the mask; position relative to the surfaces in the depth images (0 in front, 1/2
+        on them, 1 behind); whether all views are occluded; the scene features. All but the first
+        are 0 further than a voxel from the mask.
+        """
+        window, center_1N3 = self.net.roi.window, boxes[0][None].to(self.device)
+        if not len(boxes[0]):
+            return boxes[0].new_zeros(0, 1 + NUM_SURFACE + self.net.cfg.map_features, *window.shape)
+        mask_N1XYZ = self.masks(scene, boxes)[:, None]
+        with half_precision(self.device):
+            scene_map = self.net.scene_map(scene)
+        points_1NQ3 = center_1N3[:, :, None] + centers(window, self.device).reshape(-1, 3)
+        lifted_1QC = lift(
+            self.net.cfg.lift, scene.views, scene.features_BVHWC[..., :1], points_1NQ3.flatten(1, 2)
+        ).float()
+        depth_1Q2 = torch.stack([(1 - lifted_1QC[..., SIGNED]) / 2, lifted_1QC[..., UNSEEN]], -1)
+        depth_N2XYZ = depth_1Q2.reshape(-1, *window.shape, NUM_SURFACE).movedim(-1, 1)
+        features_NCXYZ = crop(scene_map, self.net.cfg.grid, center_1N3, window)[0]
+        dilated_N1XYZ = F.max_pool3d(mask_N1XYZ, 3, stride=1, padding=1)
+        return torch.cat(
+            [mask_N1XYZ, depth_N2XYZ * dilated_N1XYZ, features_NCXYZ * dilated_N1XYZ], dim=1
+        )
 
     @torch.inference_mode()
     def surface_inputs(
-        self,
-        scene: SceneFeatures,
-        centers_BN3: Tensor,
-        sizes_BN3: Tensor,
-        mask_BNXYZ: Tensor | None = None,
+        self, scene: SceneFeatures, boxes: tuple[Tensor, Tensor], mask_NXYZ: Tensor
     ) -> Tensor:
-        """Inputs (BN)CDX of the surface head for boxes of B scenes.
-
-        ``mask_BNXYZ``: the first channel of ``crops``, computed here if not given.
-        """
-        head, (batch, count) = self.net.surface, centers_BN3.shape[:2]
-        boxes = (centers_BN3.to(self.device), sizes_BN3.to(self.device))
-        if mask_BNXYZ is None:
-            with half_precision(self.device):
-                mask_BNXYZ = self.net.regions(scene, boxes).mask_BKXYZ.sigmoid()
-        mask_PXYZ = mask_BNXYZ.to(self.device).flatten(0, 1)
-        flat = boxes[0].flatten(0, 1), boxes[1].flatten(0, 1)
-        points = head.world_points(*flat).reshape(batch, -1, 3)
-        lifted = lift(
-            self.net.cfg.lift, scene.views, scene.features_BVHWC, points, between_pixels=True
-        ).reshape(batch * count, -1, self.net.lifted)
-        cameras = scene.views.world_T_cam_BV44[:, :, :3, 3].repeat_interleave(count, 0)
-        return head.inputs(lifted, mask_PXYZ, self.net.roi.window, flat, cameras)
+        """Inputs NCDX of the surface head for one scene's boxes and their ``masks``."""
+        head, net = self.net.surface, self.net
+        center_N3, size_N3, mask_NXYZ = (x.to(self.device) for x in (*boxes, mask_NXYZ))
+        points_NQ3 = head.world_points(center_N3, size_N3)
+        points_1Q3 = points_NQ3.reshape(1, -1, 3)
+        lifted_1QC = lift(
+            net.cfg.lift, scene.views, scene.features_BVHWC, points_1Q3, between_pixels=True
+        )
+        lifted_NQC = lifted_1QC.reshape(*points_NQ3.shape[:2], -1)
+        camera_NV3 = scene.views.world_T_cam_BV44[:, :, :3, 3].expand(len(center_N3), -1, -1)
+        box = (center_N3, size_N3)
+        return head.inputs(lifted_NQC, mask_NXYZ, net.roi.window, box, camera_NV3)
 
     @torch.inference_mode()
     def surfaces(
-        self, scene: SceneFeatures, centers_N3: Tensor, sizes_N3: Tensor, mask_NXYZ: Tensor
+        self, scene: SceneFeatures, boxes: tuple[Tensor, Tensor], mask_NXYZ: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Radial profiles NRD3 and centres of mass N3 of one scene, as in ``Objects``."""
         cylinder = self.net.cfg.surface.cylinder
-        if not len(centers_N3):
+        if not len(mask_NXYZ):
             shape = (0, cylinder.num_rows, cylinder.num_directions, 3)
-            return centers_N3.new_zeros(shape), centers_N3.new_zeros(0, 3)
-        inputs = self.surface_inputs(scene, centers_N3[None], sizes_N3[None], mask_NXYZ[None])
+            return mask_NXYZ.new_zeros(shape), mask_NXYZ.new_zeros(0, 3)
+        inputs_NCDX = self.surface_inputs(scene, boxes, mask_NXYZ)
         with half_precision(self.device):
-            output = self.net.surface(inputs)
+            output = self.net.surface(inputs_NCDX)
         return output.radial_profile(), output.com_offset_P3
 
     @torch.inference_mode()
@@ -161,8 +156,8 @@ class Perceiver:
     ) -> Objects:
         """Objects (unbatched, on the CPU) of one scene at given boxes; N may be 0."""
         boxes = (centers_N3.float().cpu(), sizes_N3.float().cpu())
-        crop_NCXYZ = self.crops(scene, boxes[0][None], boxes[1][None])[0]
-        profile_NRD3, com_offset_N3 = self.surfaces(scene, *boxes, crop_NCXYZ[:, 0])
+        crop_NCXYZ = self.crops(scene, boxes)
+        profile_NRD3, com_offset_N3 = self.surfaces(scene, boxes, crop_NCXYZ[:, 0])
         count, poses = len(centers_N3), [camera.world_T_cam_44 for camera in cameras]
         camera_V12 = torch.from_numpy(np.stack(poses)[:, :3].reshape(-1, 12)).float()
         return Objects(

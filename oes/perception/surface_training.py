@@ -3,7 +3,7 @@
 The features are computed once, before many passes over them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from oes.objects import LAYERS, SUPPORT, UNION, map_tensors
 from oes.perception.gt_profiles import GroundTruthProfiles
 from oes.perception.perceiver import Perceiver
 from oes.perception.samples import Source, WorldTransform, transform_views
-from oes.perception.surface import SurfaceHead, support_points
+from oes.perception.surface import SurfaceOutput, support_points
 from oes.progress import progress_bar
 from oes.training.checkpoint import LogRow, TrainConfig
 from oes.training.loop import fit
@@ -129,7 +129,8 @@ class SurfaceSampler:
         )
         radius_NRD, com_N3 = self.gt_profiles.of_state(scaled, 0, support_N3, object_is)
         features = perceiver.encode_views(views)
-        inputs_PCDX = perceiver.surface_inputs(features, boxes[0][None], boxes[1][None])
+        masks = perceiver.masks(features, boxes)
+        inputs_PCDX = perceiver.surface_inputs(features, boxes, masks)
         return SurfaceBatch(
             inputs_PCDX=inputs_PCDX.half().cpu(),
             radius_PRD=torch.from_numpy(radius_NRD).float(),
@@ -138,49 +139,40 @@ class SurfaceSampler:
 
 
 def train_surface(
-    perceiver: Perceiver,
-    source: Source,
-    gt_profiles: GroundTruthProfiles,
-    cfg: SurfaceTraining,
-    episode_is: tuple[Sequence[int], Sequence[int]],
-    work: Path,
+    sampler: SurfaceSampler, episode_is: tuple[Sequence[int], Sequence[int]], work: Path
 ) -> list[LogRow]:
     """Train the perceiver's surface head in place; the rest of the network is frozen.
 
     ``episode_is``: training and validation episodes. Returns the rows of the log; checkpoints are
     kept in ``work``.
     """
-    head, device = perceiver.net.surface, perceiver.device
-    sampler = SurfaceSampler(perceiver, source, gt_profiles, cfg)
+    head, device, cfg = sampler.perceiver.net.surface, sampler.perceiver.device, sampler.cfg
     train = sampler.gather(cfg.num_objects, episode_is[0])
-    validation = sampler.gather(max(1, cfg.num_objects // 15), episode_is[1])
+    validation = sampler.gather(max(1, cfg.num_objects // 15), episode_is[1]).to(device)
 
     def batch_at(step: int) -> SurfaceBatch:
         generator = torch.Generator().manual_seed(cfg.fit.seed * 1_000_003 + step)
         chosen_P = torch.randint(len(train), (cfg.fit.batch,), generator=generator)
         num_turns = train.radius_PRD.shape[-1] * 2
         turn_i = int(torch.randint(num_turns, (1,), generator=generator))
-        return rotate_batch(train.pick(chosen_P), turn_i // 2, turn_i % 2 == 1)
+        batch = rotate_batch(train.pick(chosen_P), turn_i // 2, turn_i % 2 == 1)
+        return batch.to(device)
 
-    def loss(net: nn.Module, batch: SurfaceBatch) -> Mapping[str, Tensor]:
-        assert isinstance(net, SurfaceHead)
-        return surface_losses(net, batch.to(device))
+    def validate(net: nn.Module) -> dict[str, float]:
+        return surface_metrics(net, validation)
 
-    def validate(net: nn.Module) -> Mapping[str, float]:
-        assert isinstance(net, SurfaceHead)
-        return surface_metrics(net, validation.pick(slice(None)).to(device))
-
+    weights = dict.fromkeys(TERMS, 1.0)
     with torch.enable_grad():
-        rows = fit(head, batch_at, loss, dict.fromkeys(TERMS, 1.0), cfg.fit, work, device, validate)
+        rows = fit(head, batch_at, surface_losses, weights, cfg.fit, work, device, validate)
     head.requires_grad_(True)
     return rows
 
 
-def surface_losses(net: SurfaceHead, batch: SurfaceBatch) -> dict[str, Tensor]:
+def surface_losses(net: nn.Module, batch: SurfaceBatch) -> dict[str, Tensor]:
     """``radius``: Laplace negative log-likelihood where there is a surface; ``presence``: binary
     cross-entropy; ``com_offset``: Euclidean distance in units of 10 mm.
     """
-    output = net(batch.inputs_PCDX)
+    output: SurfaceOutput = net(batch.inputs_PCDX)
     present_PRD = (batch.radius_PRD > 0).float()
     weight_R1 = torch.ones(present_PRD.shape[1], 1, device=present_PRD.device)
     weight_R1[:LAYERS] = SUMMARY_WEIGHT
@@ -197,11 +189,11 @@ def surface_losses(net: SurfaceHead, batch: SurfaceBatch) -> dict[str, Tensor]:
 
 
 @torch.no_grad()
-def surface_metrics(net: SurfaceHead, batch: SurfaceBatch) -> dict[str, float]:
+def surface_metrics(net: nn.Module, batch: SurfaceBatch) -> dict[str, float]:
     """Mean absolute error of the radius of each kind of row (mm), share of wrong presences, and
     mean distance of the centre of mass (mm).
     """
-    parts = [net(batch.inputs_PCDX[i : i + 64]) for i in range(0, len(batch), 64)]
+    parts = [net(batch.inputs_PCDX[i : i + 64].float()) for i in range(0, len(batch), 64)]
     output = map_tensors(parts[0], lambda *values: torch.cat(values), *parts[1:])
     present_PRD = batch.radius_PRD > 0
     error_mm_PRD = (output.radius_PRD - batch.radius_PRD).abs() * 1e3

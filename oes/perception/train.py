@@ -22,7 +22,7 @@ from oes.perception.network import PerceptionNet, PerceptionNetConfig
 from oes.perception.perceiver import Perceiver
 from oes.perception.samples import Sampler, Sampling, Source
 from oes.perception.solids import Solids
-from oes.perception.surface_training import SurfaceTraining, train_surface
+from oes.perception.surface_training import SurfaceSampler, SurfaceTraining, train_surface
 from oes.training.loop import TrainConfig, fit
 
 
@@ -97,11 +97,8 @@ def train_perception(
     perceiver = Perceiver(net, device)
     episode_is = (range(max(1, count - held_out)), range(count - held_out, count))
     (work / "surface").mkdir(exist_ok=True)
-    return (
-        perceiver,
-        rows,
-        train_surface(perceiver, source, gt_profiles, cfg.surface, episode_is, work / "surface"),
-    )
+    surface_sampler = SurfaceSampler(perceiver, source, gt_profiles, cfg.surface)
+    return perceiver, rows, train_surface(surface_sampler, episode_is, work / "surface")
 
 
 @dataclass(frozen=True)
