@@ -11,8 +11,9 @@ import torch
 import trimesh
 
 from oes.config import load
-from oes.dynamics.rigid_body.bodies import ContactPhysics, PlanarState, RigidBodies, State
+from oes.dynamics.rigid_body.bodies import ContactPhysics, PlanarState, RigidBodies
 from oes.dynamics.rigid_body.contact_detection import detect_pairs, detect_rod
+from oes.dynamics.rigid_body.kernels import State
 from oes.dynamics.rigid_body.push import compile_bodies, simulate_push
 from oes.dynamics.rigid_body.substeps import GRAVITY
 from oes.dynamics.train import DynamicsConfig

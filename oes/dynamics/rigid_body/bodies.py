@@ -1,13 +1,11 @@
-"""Rigid bodies on a table: constants and state, as tensors and as arrays for the kernels."""
+"""Rigid bodies on a table: shapes, mass properties and planar state."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from oes.config import params
-from oes.episode import Bools, Floats
 
 
 @params
@@ -80,42 +78,3 @@ def rotate_2d(vector_2: Tensor, angle: Tensor) -> Tensor:
     cos, sin = angle.cos(), angle.sin()
     x, y = vector_2.unbind(-1)
     return torch.stack([cos * x - sin * y, sin * x + cos * y], -1)
-
-
-class Bodies(NamedTuple):
-    """``RigidBodies`` as arrays for the kernels.
-
-    Vertices and supports are relative to the centre of mass. ``radius_BN`` bounds both profiles,
-    ``normal_BND2`` are outward normals of ``profile_BND``, ``has_rod_BN`` is False where the rod
-    can touch nothing.
-    """
-
-    rod_profile_BND: Floats
-    rod_vertex_BND2: Floats
-    rod_min_z_BND: Floats
-    rod_max_z_BND: Floats
-    profile_BND: Floats
-    vertex_BND2: Floats
-    normal_BND2: Floats
-    com_offset_BN2: Floats
-    com_height_BN: Floats
-    radius_BN: Floats
-    height_BN: Floats
-    support_BNP3: Floats
-    inverse_inertia_BN33: Floats
-    mass_BN: Floats
-    pair_friction_BN: Floats
-    is_valid_BN: Bools
-    has_rod_BN: Bools
-
-
-class State(NamedTuple):
-    """State of the bodies (world), changed in place by the kernels; twists are linear, angular.
-
-    Sleeping bodies are not moved.
-    """
-
-    com_BN3: Floats
-    rotation_BN33: Floats
-    twist_BN6: Floats
-    is_awake_BN: Bools

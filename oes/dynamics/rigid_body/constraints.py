@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oes.dynamics.rigid_body.contact_manifold import MAX_POINTS, Manifold
-from oes.dynamics.rigid_body.linalg import cross, dot
+from oes.dynamics.rigid_body.kernels import cross, dot
 from oes.episode import Floats, Ints
 from oes.jit import jit
 

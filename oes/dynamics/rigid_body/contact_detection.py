@@ -11,8 +11,7 @@ import math
 
 import numpy as np
 
-from oes.dynamics.rigid_body.bodies import Bodies, State
-from oes.dynamics.rigid_body.linalg import dot
+from oes.dynamics.rigid_body.kernels import Bodies, State, dot
 from oes.episode import Bools, Floats
 from oes.jit import jit
 

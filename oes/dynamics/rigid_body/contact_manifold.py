@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oes.dynamics.rigid_body.bodies import State
-from oes.dynamics.rigid_body.linalg import cross, dot
+from oes.dynamics.rigid_body.kernels import State, cross, dot
 from oes.episode import Floats, Ints
 from oes.jit import jit
 

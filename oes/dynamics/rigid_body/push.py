@@ -7,10 +7,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from oes.dynamics.rigid_body.bodies import Bodies, ContactPhysics, PlanarState, RigidBodies, State
+from oes.dynamics.rigid_body.bodies import ContactPhysics, PlanarState, RigidBodies
 from oes.dynamics.rigid_body.constraints import empty_rows
 from oes.dynamics.rigid_body.contact_detection import detect_table
 from oes.dynamics.rigid_body.contact_manifold import empty_manifold, update_manifold
+from oes.dynamics.rigid_body.kernels import Bodies, State
 from oes.dynamics.rigid_body.substeps import StepSettings, advance_substeps
 from oes.episode import Floats
 from oes.geom.polar import profile_normals, profile_points

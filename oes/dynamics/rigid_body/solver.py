@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from oes.dynamics.rigid_body.bodies import Bodies, State
 from oes.dynamics.rigid_body.constraints import (
     FRICTION,
     GAP,
@@ -17,6 +16,7 @@ from oes.dynamics.rigid_body.constraints import (
     world_inverse_inertia,
 )
 from oes.dynamics.rigid_body.contact_manifold import Manifold
+from oes.dynamics.rigid_body.kernels import Bodies, State
 from oes.episode import Bools, Floats
 from oes.jit import jit
 

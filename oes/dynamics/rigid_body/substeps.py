@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oes.dynamics.rigid_body.bodies import Bodies, State
 from oes.dynamics.rigid_body.constraints import ContactRows
 from oes.dynamics.rigid_body.contact_detection import detect_pairs, detect_rod, detect_table
 from oes.dynamics.rigid_body.contact_manifold import Manifold, update_manifold
-from oes.dynamics.rigid_body.linalg import dot
+from oes.dynamics.rigid_body.kernels import Bodies, State, dot
 from oes.dynamics.rigid_body.solver import solve_contacts
 from oes.episode import Bools, Floats
 from oes.jit import jit
