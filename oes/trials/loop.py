@@ -17,7 +17,7 @@ from oes.mpc.sampler import PlannerConfig
 from oes.mpc.search import Plan, PlanError
 from oes.sim.arm import ReachError
 from oes.sim.world import FIRST_OBJECT, ROBOT
-from oes.trials.planner import CameraObservation, Planner, SceneT
+from oes.trials.planner import CameraObservation, Planner
 from oes.trials.task import Task, TrialScenario
 from oes.trials.world_models import StateEstimate
 
@@ -65,7 +65,7 @@ class TrialResult:
 def run_trial(
     env: PushEnv,
     sensor: Callable[[Step, Camera], CameraObservation],
-    planner: Planner[SceneT],
+    planner: Planner,
     task: Task,
     scenario: TrialScenario,
     planner_cfg: PlannerConfig,

@@ -1,8 +1,6 @@
 """The planner of a trial: observations in, pushes out. It has no access to the simulator."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -16,10 +14,8 @@ from oes.mpc.sampler import PlannerConfig, PushConfig, PushSampler
 from oes.mpc.scene import PlanningScene, Rod, object_footprint
 from oes.mpc.search import Candidates, Plan, RiskConfig, Rollouts, search
 from oes.mpc.tracking import update_tracks
-from oes.objects import Objects
+from oes.perception.perceiver import Perceiver
 from oes.trials.world_models import StateEstimate, WorldModel
-
-SceneT = TypeVar("SceneT")
 
 
 @params
@@ -54,35 +50,14 @@ class CameraObservation:
     overhead_HW3: NDArray[np.uint8] | None = None
 
 
-class Perception(Protocol[SceneT]):
-    """The part of ``oes.perception.perceiver.Perceiver`` that a planner uses."""
-
-    def encode(self, frames: Frames, cameras: Sequence[Camera]) -> SceneT:
-        """Scene features of the images."""
-
-    def detect(self, scene: SceneT) -> tuple[Tensor, Tensor, Tensor]:
-        """Centres P3, sizes P3 and scores P of the detected boxes."""
-
-    def objects(
-        self,
-        scene: SceneT,
-        centers_N3: Tensor,
-        sizes_N3: Tensor,
-        scores_N: Tensor,
-        frames: Frames,
-        cameras: Sequence[Camera],
-    ) -> Objects:
-        """The objects in given boxes, unbatched."""
-
-
 @dataclass
-class Planner(Generic[SceneT]):
+class Planner:
     """Perception, tracking, world model and search.
 
     ``voxel_m``: voxel side of the object crops; ``half_m``: half width of the table.
     """
 
-    perception: Perception[SceneT]
+    perceiver: Perceiver
     voxel_m: float
     world_model: WorldModel
     rod: Rod
@@ -94,12 +69,12 @@ class Planner(Generic[SceneT]):
     ) -> StateEstimate:
         """Update predicted box centres and sizes with the detections of an observation."""
         frames, cameras = observation.frames, [observation.camera]
-        scene = self.perception.encode(frames, cameras)
-        center_P3, size_P3, _ = (x.double().cpu().numpy() for x in self.perception.detect(scene))
+        scene = self.perceiver.encode(frames, cameras)
+        center_P3, size_P3, _ = (x.double().cpu().numpy() for x in self.perceiver.detect(scene))
         gate_m = self.cfg.track.gate_m
         tracks = update_tracks(center_N3, size_N3, center_P3, size_P3, gate_m)
         center, size, score = (torch.from_numpy(x).float() for x in tracks)
-        objects = self.perception.objects(scene, center, size, score, frames, cameras)
+        objects = self.perceiver.objects(scene, center, size, score, frames, cameras)
         return StateEstimate(objects, *tracks, observation.overhead_HW3)
 
     def plan(

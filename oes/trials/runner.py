@@ -18,7 +18,6 @@ from oes.config import Shared, params
 from oes.episode import Body, Camera, Step
 from oes.meshes.catalogue import Catalogue, load_catalogue
 from oes.mpc.scene import Rod
-from oes.perception.network import SceneFeatures
 from oes.perception.perceiver import Perceiver
 from oes.progress import resumable_map
 from oes.render.renderer import Renderer
@@ -121,9 +120,7 @@ def run_one(cfg: TrialsConfig, name: str, inputs: TrialInputs, planner: str, tri
     return Trial(planner, trial_i, task, result, result.failure)
 
 
-def make_planner(
-    cfg: TrialsConfig, perceiver: Perceiver, world_model: WorldModel
-) -> Planner[SceneFeatures]:
+def make_planner(cfg: TrialsConfig, perceiver: Perceiver, world_model: WorldModel) -> Planner:
     """A planner for the simulated robot and table."""
     robot = cfg.sim.robot
     rod = Rod(robot.rod_radius_m, robot.tip_height_m, robot.workspace_m)
