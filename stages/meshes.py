@@ -1,16 +1,16 @@
-"""meshes: the catalogue of objects to push and to drop: generated or ingested, scaled, decomposed,
-split in two.
-"""
+"""meshes: the catalogue of objects to push and to drop, with convex parts, mass and a split."""
 
 from pathlib import Path
 
 from oes.cli import run
 from oes.meshes.build import MeshesConfig, build_catalogue
+from oes.render.contact_sheet import write_contact_sheet
 
 
 def main(cfg: MeshesConfig, out: Path) -> None:
-    """Write catalogue.csv, rejected.csv, contact_sheet.png and one folder a mesh."""
-    build_catalogue(cfg, out)
+    """Write catalogue.csv, rejected.csv, contact_sheet.png and a folder per mesh."""
+    catalogue = build_catalogue(cfg, out)
+    write_contact_sheet(catalogue, cfg.tile_px, out / "contact_sheet.png")
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ OWNERS = {
     "pybullet_utils": {"sim"},
     "mcap": {"record"},
     "rosbags": {"record"},
-    "matplotlib": {"report", "meshes", "episodes"},
+    "matplotlib": {"report", "render", "episodes"},
     "torch": {
         "geom",
         "objects",

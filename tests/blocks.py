@@ -1,6 +1,4 @@
-"""Two simple solids and untrained networks of the smoke profile, made in a moment, and the
-simulator's settings.
-"""
+"""Two simple solids, untrained networks of the smoke profile and the simulator's settings."""
 
 from pathlib import Path
 
@@ -25,7 +23,7 @@ from oes.sim.world import SimConfig
 
 
 def make_catalogue(folder: Path) -> Catalogue:
-    """A block and a disc, 7 cm wide, both in split test."""
+    """A block and a disc, 7 cm wide, both in split 'test'."""
     solids = {
         "block": trimesh.creation.box((0.08, 0.06, 0.05)),
         "disc": trimesh.creation.cylinder(0.035, 0.05),
@@ -53,26 +51,26 @@ def make_weights(folder: Path) -> None:
     inputs = InputSpec(
         channels, roi.count, roi.voxel_m, IMAGE_PX, cylinder.num_rows, cylinder.num_directions
     )
-    for word, kind in (("oes", OES), ("graph_xyz", GraphXYZ)):
-        (folder / "dynamics" / f"pushing-{word}").mkdir(parents=True)
+    for name, model_class in (("oes", OES), ("graph_xyz", GraphXYZ)):
+        (folder / "dynamics" / f"pushing-{name}").mkdir(parents=True)
         save_model(
-            folder / "dynamics" / f"pushing-{word}",
-            kind(load(SMOKE, "dynamics", DynamicsConfig).pushing.net, inputs),
+            folder / "dynamics" / f"pushing-{name}",
+            model_class(load(SMOKE, "dynamics", DynamicsConfig).pushing.net, inputs),
         )
     frames, video = (
         load(SMOKE, "overhead", OverheadConfig),
         load(SMOKE, "baselines", BaselinesConfig),
     )
-    for word, model in (
+    for name, model in (
         ("visual_foresight", VisualForesight(video.visual_foresight.net)),
         ("planet", PlaNet(video.planet.net)),
     ):
-        (folder / "dynamics" / f"pushing-{word}").mkdir()
-        save_baseline(folder / "dynamics" / f"pushing-{word}", model, frames.view)
+        (folder / "dynamics" / f"pushing-{name}").mkdir()
+        save_baseline(folder / "dynamics" / f"pushing-{name}", model, frames.view)
     (folder / "perception").mkdir()
     Perceiver(net, torch.device("cpu")).save(folder / "perception" / "perception.safetensors")
 
 
 def read_sim() -> SimConfig:
-    """That of params.yaml."""
+    """The simulator's settings in params.yaml."""
     return load(Path("params.yaml"), "episodes", EpisodesConfig).sim

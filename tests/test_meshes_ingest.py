@@ -121,7 +121,7 @@ def test_a_bad_file_is_rejected_with_its_reason(
     assert REASONS[source] in ingested[1][source]
 
 
-def test_nothing_else_is_rejected_and_all_others_are_taken(
+def test_nothing_else_is_rejected_and_all_others_are_accepted(
     ingested: tuple[Catalogue, dict[str, str]],
 ) -> None:
     catalogue, rejected = ingested
@@ -156,14 +156,16 @@ def test_any_unit_any_format_gives_one_canonical_frame(
         assert mesh.visual.is_volume
 
 
-def test_repairs_are_told(ingested: tuple[Catalogue, dict[str, str]], cfg: MeshesConfig) -> None:
+def test_repairs_are_listed_in_the_status(
+    ingested: tuple[Catalogue, dict[str, str]], cfg: MeshesConfig
+) -> None:
     catalogue = ingested[0]
     path = catalogue.meshes["good_obj"].collision_path.parents[1] / "catalogue.csv"
     with path.open(newline="") as file:
         status = {row["id"]: row["status"] for row in csv.DictReader(file)}
     assert status["good_obj"] == "clean"
     assert all(
-        word in status["toys_soup"] for word in ("merged", "degenerate", "duplicate", "rewound")
+        step in status["toys_soup"] for step in ("merged", "degenerate", "duplicate", "rewound")
     )
     assert "filled holes" in status["toys_holed"]
     assert "simplified 5120" in status["toys_fine"]

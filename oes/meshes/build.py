@@ -1,4 +1,4 @@
-"""Making a catalogue: the study's 31 meshes, or all meshes of somebody's folder."""
+"""Construction of a catalogue: the study's meshes, or all meshes of a user's folder."""
 
 import hashlib
 import logging
@@ -34,20 +34,21 @@ from oes.meshes.ingest import (
     ingest,
     shapenet_candidates,
 )
-from oes.meshes.sheet import write_sheet
 from oes.stage import publish
 
 log = logging.getLogger(__name__)
 
 CACHE = Path(".work/convex")
-CONTACT_SHEET = "contact_sheet.png"
 MIT_PUSH = "mit_push"
 
 
 @params
 class SizeConfig:
-    """Longest horizontal side of a mesh: a triangular distribution; the height of MIT Push plates:
-    uniform; half the side of the cube among the blocks.
+    """Sizes of meshes.
+
+    ``min_m``, ``mode_m``, ``max_m``: triangular distribution of the longest horizontal side.
+    ``plate_min_m``, ``plate_max_m``: range of the uniform height of MIT Push plates.
+    ``block_unit_m``: half the side of the cube among the blocks.
     """
 
     min_m: float
@@ -60,11 +61,13 @@ class SizeConfig:
 
 @params
 class MeshesConfig:
-    """The meshes stage: ``per_category`` cameras, mugs, bowls and beds, generated, or from a
-    ShapeNetCore folder.
+    """The section ``meshes`` of params.yaml.
 
-    ``folder`` adds all meshes of any folder. ``test_share`` of each category (of MIT Push and of
-    the blocks: of each family), rounded up, is held out; a lone mesh is for training.
+    ``per_category``: number of cameras, mugs, bowls and beds each.
+    ``test_share``: share of each stratum in split 'test', rounded up; a lone mesh is in 'train'.
+    ``shapenet``: ShapeNetCore folder with those categories; null generates them.
+    ``folder``: folder whose meshes are added, or null.
+    ``tile_px``: side of a mesh's picture on the contact sheet.
     """
 
     seed: int
@@ -78,162 +81,138 @@ class MeshesConfig:
 
 
 def build_catalogue(cfg: MeshesConfig, out: Path) -> Catalogue:
-    """The MIT Push plates, the four categories, the blocks and the meshes of the user's folder;
-    ``out`` appears whole.
+    """MIT Push plates, blocks, the four categories and the user's meshes; ``out`` appears whole.
 
-    Raises CatalogueError when a source that was asked for gives nothing usable.
+    Raises CatalogueError if a requested source has no usable mesh.
     """
-    with _whole(out) as folder:
-        taken = [
-            (_add(draft, _longest_m(draft.id, cfg), cfg, folder)[0], family)
-            for family, draft in _plates(cfg)
-        ]
-        taken += [
-            (_add(draft, longest_m, cfg, folder)[0], family)
-            for family, draft, longest_m in _blocks(cfg)
-        ]
-        rejections: list[Rejection] = []
-        for category in GENERATORS:
-            if cfg.shapenet is None:
-                taken += [
-                    _add(draft, _longest_m(draft.id, cfg), cfg, folder)
-                    for draft in _generated(category, cfg)
-                ]
-            else:
-                taken += _add_shapenet(
-                    shapenet_candidates(Path(cfg.shapenet), category), cfg, folder, rejections
-                )
+    with _published(out) as folder:
+        strata, rejections = [], list[Rejection]()
+        categories = () if cfg.shapenet else tuple(GENERATORS)
+        for draft, stratum, longest_m in (
+            *_plates(cfg),
+            *_blocks(cfg),
+            *_generated(cfg, categories),
+        ):
+            write_mesh(*placed(draft, longest_m, cfg.ingest.stand), folder / draft.id)
+            strata.append((draft.id, stratum))
+        for category in GENERATORS if cfg.shapenet else ():
+            candidates = shapenet_candidates(Path(str(cfg.shapenet)), category)
+            strata += _add_shapenet(candidates, cfg, folder, rejections)
         if cfg.folder is not None:
-            found = folder_candidates(Path(cfg.folder), cfg.ingest, {id_ for id_, _ in taken})
-            taken += _add_files(found, cfg, folder, rejections)
-        catalogue = save_catalogue(
-            folder, assign_splits(taken, cfg.test_share, cfg.seed), rejections
-        )
-        write_sheet(catalogue, cfg.tile_px, folder / CONTACT_SHEET)
+            reserved = {id_ for id_, _ in strata}
+            candidates = folder_candidates(Path(cfg.folder), cfg.ingest, reserved)
+            strata += _add_files(candidates, cfg, folder, rejections)
+        save_catalogue(folder, assign_splits(strata, cfg.test_share, cfg.seed), rejections)
     return load_catalogue(out)
 
 
 def ingest_folder(folder: Path, cfg: MeshesConfig, out: Path) -> Catalogue:
-    """All usable meshes under ``folder`` as a catalogue at ``out``, every one in split 'test'.
+    """All usable meshes below ``folder`` as a catalogue at ``out``, each in split 'test'.
 
-    Raises CatalogueError when there is no mesh file, or none is usable (with the commonest
-    reasons).
+    Logs the number of files done and the time left. Raises CatalogueError if there is no mesh file,
+    or none is usable (with the commonest reasons).
     """
-    with _whole(out) as aside:
+    with _published(out) as part:
         rejections: list[Rejection] = []
-        taken = _add_files(folder_candidates(folder, cfg.ingest, set()), cfg, aside, rejections)
-        catalogue = save_catalogue(aside, {id_: TEST for id_, _ in taken}, rejections)
-        write_sheet(catalogue, cfg.tile_px, aside / CONTACT_SHEET)
+        added = _add_files(folder_candidates(folder, cfg.ingest, set()), cfg, part, rejections)
+        save_catalogue(part, {id_: TEST for id_, _ in added}, rejections)
     return load_catalogue(out)
 
 
-def drawn(seed: int, *words: str) -> np.random.Generator:
-    """A generator that depends on the seed and these words only: no mesh's numbers depend on
-    another mesh.
-    """
-    text = "/".join([str(seed), *words])
-    return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
+def named_rng(seed: int, *names: str) -> np.random.Generator:
+    """A random stream for these names; no mesh depends on how many others there are."""
+    digest = hashlib.sha256("/".join([str(seed), *names]).encode()).digest()
+    return np.random.default_rng(int.from_bytes(digest[:8], "big"))
 
 
 def _longest_m(id_: str, cfg: MeshesConfig) -> float:
-    return float(
-        drawn(cfg.seed, id_, "size").triangular(cfg.size.min_m, cfg.size.mode_m, cfg.size.max_m)
-    )
+    size = cfg.size
+    return float(named_rng(cfg.seed, id_, "size").triangular(size.min_m, size.mode_m, size.max_m))
 
 
-def _plates(cfg: MeshesConfig) -> Iterator[tuple[str, Draft]]:
-    """Each plate with its family, so that the split holds out one rectangle, one triangle and one
-    ellipse.
-    """
+def _plates(cfg: MeshesConfig) -> Iterator[tuple[Draft, str, float]]:
+    """Each plate, its stratum (rectangles, triangles, ellipses, ...) and longest side (m)."""
     for name in OUTLINES_MM:
         id_ = f"mit_{name}"
-        height_m = float(
-            drawn(cfg.seed, id_, "height").uniform(cfg.size.plate_min_m, cfg.size.plate_max_m)
-        )
-        shape = plate(name, _longest_m(id_, cfg), height_m)
+        rng, longest_m = named_rng(cfg.seed, id_, "height"), _longest_m(id_, cfg)
+        height_m = float(rng.uniform(cfg.size.plate_min_m, cfg.size.plate_max_m))
+        shape = plate(name, longest_m, height_m)
         status = f"generated; height {height_m * 1e3:.1f} mm, 12.7 mm in the original"
-        yield (
-            id_.rstrip("123"),
-            Draft(id_, MIT_PUSH, "parametric", status, shape.solid, shape.parts),
-        )
+        draft = Draft(id_, MIT_PUSH, "parametric", status, shape.solid, shape.parts)
+        yield draft, id_.rstrip("123"), longest_m
 
 
-def _blocks(cfg: MeshesConfig) -> Iterator[tuple[str, Draft, float]]:
-    """Each block with its stratum (its family, as no folder of the user's can be called) and
-    longest side (m).
-    """
+def _blocks(cfg: MeshesConfig) -> Iterator[tuple[Draft, str, float]]:
+    """Each block, its stratum (its family) and longest side (m)."""
     for family, blocks in BLOCKS.items():
         for name, shape in blocks.items():
             status = f"generated; 1 unit is {cfg.size.block_unit_m * 1e3:.1f} mm"
             draft = Draft(f"{BLOCK}_{name}", BLOCK, "parametric", status, shape.solid, shape.parts)
             longest_m = float(shape.solid.extents[:2].max()) * cfg.size.block_unit_m
-            yield f"{BLOCK}/{family}", draft, longest_m
+            # The slash keeps it apart from the strata of a user's folders.
+            yield draft, f"{BLOCK}/{family}", longest_m
 
 
-def _generated(category: str, cfg: MeshesConfig) -> Iterator[Draft]:
-    for style in range(cfg.per_category):
-        id_ = f"{category}_{style + 1}"
-        shape = generate(category, style, drawn(cfg.seed, id_, "shape"))
-        yield Draft(id_, category, "procedural", "generated", shape.solid, shape.parts)
+def _generated(cfg: MeshesConfig, categories: Sequence[str]) -> Iterator[tuple[Draft, str, float]]:
+    for category in categories:
+        for style in range(cfg.per_category):
+            id_ = f"{category}_{style + 1}"
+            shape = generate(category, style, named_rng(cfg.seed, id_, "shape"))
+            draft = Draft(id_, category, "procedural", "generated", shape.solid, shape.parts)
+            yield draft, category, _longest_m(id_, cfg)
 
 
-def _add(draft: Draft, longest_m: float, cfg: MeshesConfig, folder: Path) -> tuple[str, str]:
-    write_mesh(*placed(draft, longest_m, cfg.ingest.stand), folder / draft.id)
-    return draft.id, draft.category
+def _ingest(
+    candidates: Sequence[Candidate], cfg: MeshesConfig, folder: Path
+) -> tuple[list[tuple[str, str]], list[Rejection]]:
+    """(id, category) of the accepted candidates, and the rejections of the others."""
+    sizes_m = [_longest_m(candidate.id, cfg) for candidate in candidates]
+    rejections = ingest(candidates, sizes_m, cfg.ingest, folder, CACHE)
+    return [(c.id, c.category) for c in candidates if (folder / c.id).exists()], rejections
 
 
 def _add_files(
     candidates: Sequence[Candidate], cfg: MeshesConfig, folder: Path, rejections: list[Rejection]
 ) -> list[tuple[str, str]]:
-    """Ingest candidates; gives (id, category) of those taken and extends ``rejections`` by the
-    others.
-
-    They are pushed, so those in a folder called as the falling blocks' category count as 'custom'.
-    """
+    """(id, category) of the accepted candidates; the others are appended to ``rejections``."""
+    # The category of blocks selects the falling task; a user's meshes are pushed.
     candidates = [replace(c, category="custom") if c.category == BLOCK else c for c in candidates]
-    refused = ingest(
-        candidates, [_longest_m(c.id, cfg) for c in candidates], cfg.ingest, folder, CACHE
-    )
-    rejections += refused
-    taken = [(c.id, c.category) for c in candidates if (folder / c.id).exists()]
-    if not taken:
-        reasons = Counter(r.reason for r in refused).most_common(3)
+    accepted, rejected = _ingest(candidates, cfg, folder)
+    rejections += rejected
+    if not accepted:
+        reasons = Counter(rejection.reason for rejection in rejected).most_common(3)
         why = "; ".join(f"{number} x {reason}" for reason, number in reasons)
         raise CatalogueError(f"none of {len(candidates)} meshes is usable: {why}")
-    log.info("%d of %d mesh files taken, %d rejected", len(taken), len(candidates), len(refused))
-    return taken
+    counts = len(accepted), len(candidates), len(rejected)
+    log.info("%d of %d mesh files accepted, %d rejected", *counts)
+    return accepted
 
 
 def _add_shapenet(
     candidates: Sequence[Candidate], cfg: MeshesConfig, folder: Path, rejections: list[Rejection]
 ) -> list[tuple[str, str]]:
-    """Up to ``per_category`` models, in an order drawn from the seed, passing over those
-    rejected.
-    """
-    order = drawn(cfg.seed, "shapenet", candidates[0].category).permutation(len(candidates))
+    """(id, category) of up to ``per_category`` usable models in random order."""
+    category = candidates[0].category
+    order = named_rng(cfg.seed, "shapenet", category).permutation(len(candidates))
     queue = [candidates[i] for i in order]
-    taken: list[tuple[str, str]] = []
-    while queue and len(taken) < cfg.per_category:
-        batch, queue = (
-            queue[: cfg.per_category - len(taken)],
-            queue[cfg.per_category - len(taken) :],
-        )
-        rejections += ingest(
-            batch, [_longest_m(c.id, cfg) for c in batch], cfg.ingest, folder, CACHE
-        )
-        taken += [(c.id, c.category) for c in batch if (folder / c.id).exists()]
-    if not taken:
+    accepted: list[tuple[str, str]] = []
+    while queue and len(accepted) < cfg.per_category:
+        count = cfg.per_category - len(accepted)
+        found, rejected = _ingest(queue[:count], cfg, folder)
+        accepted, queue = accepted + found, queue[count:]
+        rejections += rejected
+    if not accepted:
         raise CatalogueError(
-            f"none of {len(candidates)} ShapeNet models of '{candidates[0].category}' is usable"
+            f"{cfg.shapenet}: none of {len(candidates)} models of category '{category}' is usable"
         )
-    return taken
+    return accepted
 
 
 @contextmanager
-def _whole(out: Path) -> Iterator[Path]:
-    """A fresh folder beside ``out`` that replaces it when the block ends well."""
-    aside = out.with_name(f".{out.name}.aside")
-    shutil.rmtree(aside, ignore_errors=True)
-    aside.mkdir(parents=True)
-    yield aside
-    publish(aside, out)
+def _published(out: Path) -> Iterator[Path]:
+    """A new folder that replaces ``out`` if the block ends without an error."""
+    part = out.with_name(f".{out.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    yield part
+    publish(part, out)

@@ -1,6 +1,4 @@
-"""The catalogue of meshes on disk: one folder a mesh, catalogue.csv (the list and the split),
-rejected.csv.
-"""
+"""Catalogue of meshes on disk: a folder per mesh, catalogue.csv (sizes, splits), rejected.csv."""
 
 import csv
 import hashlib
@@ -8,7 +6,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ import trimesh
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked
 
+from oes.csv_io import columns_of, write_csv
 from oes.episode import FALLING, PUSHING, Floats
 from oes.meshes.convex import Mass
 from oes.meshes.draft import Draft
@@ -24,20 +23,19 @@ from oes.meshes.objfile import read_groups, write_groups
 LIST, REJECTED = "catalogue.csv", "rejected.csv"
 VISUAL, COLLISION, RECORD = "visual.obj", "collision.obj", "mesh.json"
 TRAIN, TEST = "train", "test"
-BLOCK = "block"  # the category of meshes that fall; all others are pushed
+BLOCK = "block"  # category of the meshes of the falling task; all others are pushed
 
 
 class CatalogueError(ValueError):
-    """A folder that is not a whole catalogue, or a mesh asked for that it does not hold."""
+    """A folder that is no complete catalogue, or a split without meshes."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """One object mesh in its obj frame: metres, z up, at rest on its base, origin at its box
-    centre.
+    """An object mesh in its obj frame (metres).
 
-    ``parts`` are convex and fill it; ``collision_path`` holds them as the groups of one OBJ. Mass
-    properties are for a density of 1 kg/m3, the inertia about the centre of mass.
+    ``parts``: convex parts that fill it, also the groups of the OBJ file ``collision_path``.
+    ``inertia_obj_33``: about the centre of mass, at a density of 1 kg/m3.
     """
 
     id: str
@@ -52,11 +50,6 @@ class Mesh:
     inertia_obj_33: Floats
     extents_m_3: Floats
 
-    @property
-    def mass(self) -> Mass:
-        """Volume, centre of mass and inertia together, as ``convex.scaled_mass`` takes them."""
-        return Mass(self.volume_m3, self.com_obj_3, self.inertia_obj_33)
-
 
 @dataclass(frozen=True)
 class Catalogue:
@@ -65,29 +58,24 @@ class Catalogue:
     meshes: dict[str, Mesh]
 
     def split(self, name: str, task: str = PUSHING) -> list[Mesh]:
-        """The meshes of 'train' or 'test' for a task: blocks fall, all others are pushed.
-
-        Raises CatalogueError when there are none.
-        """
-        mine = [
-            mesh for mesh in self.meshes.values() if (mesh.category == BLOCK) == (task == FALLING)
-        ]
-        found = [mesh for mesh in mine if mesh.split == name]
+        """The meshes of split 'train' or 'test' for a task. Raises CatalogueError without any."""
+        is_block = task == FALLING
+        meshes = [mesh for mesh in self.meshes.values() if (mesh.category == BLOCK) == is_block]
+        found = [mesh for mesh in meshes if mesh.split == name]
         if not found:
-            counts = dict(Counter(mesh.split for mesh in mine))
-            raise CatalogueError(
-                f"no mesh for {task} in split '{name}'; for {task} there are {counts}"
-            )
+            counts = dict(Counter(mesh.split for mesh in meshes))
+            message = f"no mesh for {task} in split '{name}'; for {task} there are {counts}"
+            raise CatalogueError(message)
         return found
 
     def counts(self) -> Counter[str]:
-        """Meshes in each split."""
+        """Number of meshes in each split."""
         return Counter(mesh.split for mesh in self.meshes.values())
 
 
 @dataclass(frozen=True)
 class Rejection:
-    """A mesh that was not taken, and why."""
+    """A mesh that is not in the catalogue, and the reason."""
 
     source: str
     category: str
@@ -96,9 +84,7 @@ class Rejection:
 
 @checked(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
 class Record:
-    """mesh.json: what is known of a mesh besides its triangles; lengths in metres, density 1
-    kg/m3.
-    """
+    """The file mesh.json; mass properties at a density of 1 kg/m3."""
 
     id: str
     category: str
@@ -113,39 +99,31 @@ class Record:
 
 
 def write_mesh(draft: Draft, mass: Mass, folder: Path) -> None:
-    """Write one placed mesh into ``folder``; mesh.json last, so that a folder with it is whole."""
+    """Write one placed mesh; mesh.json is last, so that a folder with it is complete."""
     folder.mkdir(parents=True, exist_ok=True)
     write_groups(folder / VISUAL, [draft.visual])
     write_groups(folder / COLLISION, draft.parts)
-    record = {
-        "id": draft.id,
-        "category": draft.category,
-        "source": draft.source,
-        "status": draft.status,
-        "volume_m3": mass.volume_m3,
-        "com_obj_m": mass.com_obj_3.tolist(),
-        "inertia_obj_kg_m2": mass.inertia_obj_33.tolist(),
-        "extents_m": draft.visual.extents.tolist(),
-    }
-    (folder / RECORD).write_text(json.dumps(record, indent=1) + "\n")
+    record = Record(
+        draft.id,
+        draft.category,
+        draft.source,
+        draft.status,
+        mass.volume_m3,
+        mass.com_obj_3.tolist(),
+        mass.inertia_obj_33.tolist(),
+        draft.visual.extents.tolist(),
+    )
+    (folder / RECORD).write_text(json.dumps(asdict(record), indent=1) + "\n")
 
 
 def save_catalogue(
     folder: Path, splits: dict[str, str], rejections: Iterable[Rejection]
 ) -> Catalogue:
-    """List the meshes written into ``folder`` in catalogue.csv with their splits, and the rejected;
-    then load them.
-    """
-    with (folder / REJECTED).open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["source", "category", "reason"])
-        writer.writerows((r.source, r.category, r.reason) for r in rejections)
+    """Write catalogue.csv and rejected.csv for the meshes already in ``folder``."""
+    write_csv(folder / REJECTED, map(vars, rejections), ["source", "category", "reason"])
     meshes = [_read_mesh(folder / id_, split) for id_, split in splits.items()]
     rows = [_row(mesh, _read_record(folder / mesh.id).status) for mesh in meshes]
-    with (folder / LIST).open("w", newline="") as file:
-        table = csv.DictWriter(file, list(rows[0]) if rows else ["id"], lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
+    write_csv(folder / LIST, rows, columns_of(rows) or ["id"])
     return Catalogue({mesh.id: mesh for mesh in meshes})
 
 
@@ -155,15 +133,15 @@ def load_catalogue(folder: Path) -> Catalogue:
         with (folder / LIST).open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CatalogueError(
-            f"{folder}: not a catalogue of meshes: {LIST} cannot be read ({error})"
-        ) from error
+        message = f"{folder}: not a catalogue of meshes: {LIST} cannot be read ({error})"
+        raise CatalogueError(message) from error
     if not rows or not {"id", "split"} <= rows[0].keys():
         raise CatalogueError(f"{folder / LIST}: no meshes listed, or no columns 'id' and 'split'")
     for row in rows:
         if row["split"] not in (TRAIN, TEST) or Path(row["id"]).name != row["id"]:
-            where = f"{folder / LIST}: mesh '{row['id']}', split '{row['split']}'"
-            raise CatalogueError(f"{where}: not a plain name, or neither train nor test")
+            mesh = f"mesh '{row['id']}', split '{row['split']}'"
+            expected = "the id is not a plain name, or the split neither train nor test"
+            raise CatalogueError(f"{folder / LIST}: {mesh}: {expected}")
     meshes = [_read_mesh(folder / row["id"], row["split"]) for row in rows]
     return Catalogue({mesh.id: mesh for mesh in meshes})
 
@@ -171,19 +149,18 @@ def load_catalogue(folder: Path) -> Catalogue:
 def assign_splits(
     meshes: Sequence[tuple[str, str]], test_share: float, seed: int
 ) -> dict[str, str]:
-    """Split of each (id, stratum): in every stratum the ``test_share`` (rounded up) with the lowest
-    hash is test.
+    """Split of each (id, stratum): ``test_share`` of every stratum, rounded up, is 'test'.
 
-    A hash of the id decides, so meshes keep their split when others join other strata. A lone mesh
-    is train.
+    A lone mesh is 'train'. The order is that of a hash of the ids, so that a mesh keeps its split
+    when other strata change.
     """
-    ranked: dict[str, list[str]] = {}
-    for id_, stratum in sorted(
-        meshes, key=lambda mesh: hashlib.sha256(f"{seed}/{mesh[0]}".encode()).digest()
-    ):
-        ranked.setdefault(stratum, []).append(id_)
+    order = sorted(meshes, key=lambda mesh: hashlib.sha256(f"{seed}/{mesh[0]}".encode()).digest())
+    strata: dict[str, list[str]] = {}
+    for id_, stratum in order:
+        strata.setdefault(stratum, []).append(id_)
     tests: set[str] = set()
-    for ids in ranked.values():
+    for ids in strata.values():
+        # The margin keeps 0.2 * 5, inexact in binary, from rounding up to 2.
         tests.update(ids[: min(len(ids) - 1, math.ceil(test_share * len(ids) - 1e-9))])
     return {id_: TEST if id_ in tests else TRAIN for id_, _ in meshes}
 
@@ -198,25 +175,27 @@ def _read_record(folder: Path) -> Record:
 
 def _read_mesh(folder: Path, split: str) -> Mesh:
     record = _read_record(folder)
-    surfaces = {}
-    for name in (VISUAL, COLLISION):
-        try:
-            surfaces[name] = read_groups(folder / name)
-        except (OSError, ValueError) as error:
-            raise CatalogueError(f"{folder / name}: {error}") from error
+    (visual, *_), parts = (_read_groups(folder / name) for name in (VISUAL, COLLISION))
     return Mesh(
         record.id,
         record.category,
         record.source,
         split,
-        surfaces[VISUAL][0],
-        tuple(surfaces[COLLISION]),
+        visual,
+        tuple(parts),
         folder / COLLISION,
         record.volume_m3,
         np.array(record.com_obj_m),
         np.array(record.inertia_obj_kg_m2),
         np.array(record.extents_m),
     )
+
+
+def _read_groups(path: Path) -> list[trimesh.Trimesh]:
+    try:
+        return read_groups(path)
+    except (OSError, ValueError) as error:
+        raise CatalogueError(f"{path}: {error}") from error
 
 
 def _row(mesh: Mesh, status: str) -> dict[str, object]:

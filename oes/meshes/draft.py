@@ -1,8 +1,6 @@
-"""A mesh on its way into the catalogue: brought to size, stood upright at rest, centred on its
-box.
-"""
+"""Placement of a new mesh in its obj frame: at rest, scaled, origin at its box centre."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -11,26 +9,24 @@ from oes.config import params
 from oes.episode import Floats
 from oes.meshes.convex import Mass, fill, solid_mass
 
-UNTOUCHED_DEG = 0.5
+MIN_TURN_DEG = 0.5  # smaller turns would only add rounding errors
 
 
 @params
 class StandConfig:
-    """What a mesh must satisfy as it stands: longest over shortest side, and the tilt to a stable
-    pose.
-    """
+    """Limits on a mesh: longest over shortest side, and rotation to a stable pose."""
 
     max_aspect: float
     max_tilt_deg: float
 
 
 class MeshRejected(ValueError):
-    """A mesh that cannot be used; the message is the reason."""
+    """An unusable mesh; the message is the reason."""
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A mesh with its convex parts, any size, z up. ``status`` tells what was done to it."""
+    """A mesh of any size, z up, with its convex parts. ``status``: its repairs, in words."""
 
     id: str
     category: str
@@ -41,25 +37,24 @@ class Draft:
 
     def mapped(self, matrix_44: Floats) -> "Draft":
         """The draft under a similarity transform."""
-        visual, *parts = [
-            mesh.copy().apply_transform(matrix_44) for mesh in (self.visual, *self.parts)
-        ]
-        return Draft(self.id, self.category, self.source, self.status, visual, tuple(parts))
+        meshes = (self.visual, *self.parts)
+        visual, *parts = [mesh.copy().apply_transform(matrix_44) for mesh in meshes]
+        return replace(self, visual=visual, parts=tuple(parts))
 
 
 def placed(draft: Draft, longest_m: float, cfg: StandConfig) -> tuple[Draft, Mass]:
-    """The draft in its obj frame: at rest, longest horizontal side ``longest_m``, origin at its box
-    centre.
+    """The draft in its obj frame with its longest horizontal side ``longest_m``, and its mass.
 
-    Raises Rejected when it encloses nothing, is too thin, or would tip over.
+    Raises MeshRejected if it has no volume, is too thin or would tip over.
     """
     mass = draft_mass(draft)
     if mass.volume_m3 < 1e-4 * float(np.prod(draft.visual.extents)):
         raise MeshRejected("encloses no volume")
     rest_44, tilt_deg = resting(draft.visual.convex_hull, mass.com_obj_3)
     if tilt_deg > cfg.max_tilt_deg:
+        limit = f"at most {cfg.max_tilt_deg:g}"
         raise MeshRejected(
-            f"tips over: the nearest stable pose is {tilt_deg:.0f} deg away, at most {cfg.max_tilt_deg:g}"
+            f"tips over: the nearest stable pose is {tilt_deg:.0f} deg away, {limit}"
         )
     draft = draft.mapped(rest_44)
     extents_3 = draft.visual.extents
@@ -74,11 +69,8 @@ def placed(draft: Draft, longest_m: float, cfg: StandConfig) -> tuple[Draft, Mas
 
 
 def draft_mass(draft: Draft) -> Mass:
-    """From the visual surface when it bounds a plausible solid, else from the union of the parts.
-
-    Plausible: surfaces nested or doubled inside one another hold more than the parts do, inside-out
-    ones far less.
-    """
+    """Mass of the visual surface if it bounds a plausible solid, else of the union of its parts."""
+    # Nested or doubled surfaces hold more than the parts do, inside-out ones far less.
     parts_m3 = sum(part.volume for part in draft.parts)
     if draft.visual.is_volume and 0.2 * parts_m3 < draft.visual.volume < 1.05 * parts_m3:
         return solid_mass(draft.visual)
@@ -86,20 +78,20 @@ def draft_mass(draft: Draft) -> Mass:
 
 
 def resting(hull: trimesh.Trimesh, com_3: Floats) -> tuple[Floats, float]:
-    """The smallest turn (4x4) that stands a hull on a facet below its centre of mass, and its angle
-    in degrees.
+    """Smallest rotation (4x4) that puts a convex hull on a stable facet, and its angle (deg).
 
-    A body rests on a facet if its centre of mass projects into it. Turns under half a degree are
-    left out.
+    A facet is stable if the projection of the centre of mass onto its plane lies inside it.
     """
     corner_F33 = hull.triangles
     normal_F3 = hull.face_normals
-    foot_F3 = com_3 - ((com_3 - corner_F33[:, 0]) * normal_F3).sum(1, keepdims=True) * normal_F3
-    weights_F3 = trimesh.triangles.points_to_barycentric(corner_F33, foot_F3)  # type: ignore[no-untyped-call]
+    projection_F3 = (
+        com_3 - ((com_3 - corner_F33[:, 0]) * normal_F3).sum(1, keepdims=True) * normal_F3
+    )
+    weights_F3 = trimesh.triangles.points_to_barycentric(corner_F33, projection_F3)  # type: ignore[no-untyped-call]
     stable_F = (weights_F3 > -1e-6).all(1)
     tilt_F = np.where(stable_F, np.degrees(np.arccos(np.clip(-normal_F3[:, 2], -1, 1))), np.inf)
     facet_i = int(tilt_F.argmin())
-    if tilt_F[facet_i] < UNTOUCHED_DEG:
+    if tilt_F[facet_i] < MIN_TURN_DEG:
         return np.eye(4), 0.0
-    turn_44 = trimesh.geometry.align_vectors(normal_F3[facet_i], [0, 0, -1])  # type: ignore[no-untyped-call]
-    return np.asarray(turn_44), float(tilt_F[facet_i])
+    rotation_44 = trimesh.geometry.align_vectors(normal_F3[facet_i], [0, 0, -1])  # type: ignore[no-untyped-call]
+    return np.asarray(rotation_44), float(tilt_F[facet_i])

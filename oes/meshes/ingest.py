@@ -1,6 +1,4 @@
-"""Meshes from elsewhere: any folder of mesh files, or a ShapeNetCore tree. A bad file is rejected
-with a reason.
-"""
+"""Foreign meshes, from a folder of files or a ShapeNetCore tree; bad files are rejected."""
 
 import itertools
 import math
@@ -17,8 +15,6 @@ from multiprocessing.context import ForkServerContext
 from os import cpu_count
 from pathlib import Path
 
-from tqdm import tqdm
-
 from oes.config import params
 from oes.meshes.catalogue import RECORD, CatalogueError, Rejection, write_mesh
 from oes.meshes.convex import ConvexConfig, Mass, NoParts, decompose
@@ -29,22 +25,25 @@ from oes.meshes.repair import (
     UPRIGHT_FROM_Y,
     RepairConfig,
     check_surface,
+    one_line,
     read_surface,
     repaired,
 )
+from oes.progress import progress_bar
 
 SYNSETS = {"camera": "02942699", "mug": "03797390", "bowl": "02880940", "bed": "02818832"}
 REASON = "reason.txt"
-PATIENCE = 10
+WALL_FACTOR = 10  # limit on wall-clock time over that on processor time
 
 
 @params
 class IngestConfig:
-    """How foreign files are read: which axis is up (GLB and ShapeNet: always y), and limits a file.
+    """Reading of foreign files.
 
-    What would be taller than ``max_height_m`` at the size drawn for it is made smaller. ``limit_s``
-    is processor time, so that a busy machine rejects nothing more; ten times that by the clock ends
-    it too.
+    ``up``: the axis 'y' or 'z' that points up; y for all GLB and ShapeNet files.
+    ``limit_s``, ``limit_gb``: limits per file on processor time, which does not depend on other
+    load, and on memory.
+    ``max_height_m``: taller meshes are made smaller.
     """
 
     up: str
@@ -62,7 +61,7 @@ class IngestConfig:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A mesh file that may join the catalogue, with the longest horizontal side it is to have."""
+    """A mesh file to ingest."""
 
     id: str
     category: str
@@ -74,49 +73,44 @@ class Candidate:
 def folder_candidates(
     folder: Path, cfg: IngestConfig, reserved: Collection[str]
 ) -> list[Candidate]:
-    """Every mesh file under ``folder``; a mesh's category is its first subfolder, or 'custom' at
-    the top.
+    """Every mesh file below ``folder``; its category is the first subfolder, or 'custom'.
 
-    Ids come from the path; those in ``reserved`` are not given again.
+    Ids come from paths and differ from those in ``reserved``. Raises CatalogueError without files.
     """
     if not folder.is_dir():
         raise CatalogueError(f"{folder}: no such folder of meshes")
     found: dict[str, Candidate] = {}
-    for path in sorted(
-        p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()
-    ):
+    paths = [p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()]
+    for path in sorted(paths):
         relative = path.relative_to(folder)
         name = slug("_".join(relative.with_suffix("").parts)) or "mesh"
         names = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
         id_ = next(n for n in names if n not in found and n not in reserved)
         category = slug(relative.parts[0]) or "custom" if len(relative.parts) > 1 else "custom"
-        found[id_] = Candidate(
-            id_, category, str(relative), path, cfg.up == "y" or path.suffix.lower() == ".glb"
-        )
+        is_y_up = cfg.up == "y" or path.suffix.lower() == ".glb"
+        found[id_] = Candidate(id_, category, str(relative), path, is_y_up)
     if not found:
         raise CatalogueError(f"{folder}: no file ending in {', '.join(SUFFIXES)}")
     return list(found.values())
 
 
 def shapenet_candidates(root: Path, category: str) -> list[Candidate]:
-    """One category's models in ShapeNetCore v2 (<synset>/<id>/models/model_normalized.obj) or v1
-    (<id>/model.obj).
-    """
+    """Models of a category in ShapeNetCore v2 or v1. Raises CatalogueError without any."""
     synset = SYNSETS[category]
     folder = root / synset
     paths = sorted([*folder.glob("*/models/model_normalized.obj"), *folder.glob("*/model.obj")])
     if not paths:
         layouts = f"{synset}/<id>/models/model_normalized.obj or {synset}/<id>/model.obj"
         raise CatalogueError(f"{root}: no ShapeNet models of category '{category}' ({layouts})")
-    named = [(path.relative_to(folder).parts[0], path) for path in paths]
+    models = [path.relative_to(folder).parts[0] for path in paths]
     return [
         Candidate(f"{category}_{slug(model)}", category, f"shapenet:{synset}/{model}", path, True)
-        for model, path in named
+        for model, path in zip(models, paths, strict=True)
     ]
 
 
 def slug(text: str) -> str:
-    """Lower-case letters, digits and underscores only: safe as a folder's name."""
+    """A name of lower-case letters, digits and underscores, safe for a folder."""
     return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:60]
 
 
@@ -127,34 +121,32 @@ def ingest(
     out: Path,
     cache: Path,
 ) -> list[Rejection]:
-    """Prepare each candidate into ``out/<id>``, each in a process of its own; returns those
-    rejected, in order.
+    """Write every usable candidate to ``out/<id>``; returns the rejections, in order.
 
-    A file that crashes its process, or takes it beyond the limits of time and memory, is rejected
-    like any other.
+    Each file has a process of its own: one that crashes or exceeds its limits is rejected too.
     """
+    # A fork server starts processes fast, yet without this one's threads and memory.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__])
     jobs = list(zip(candidates, longest_m, strict=True))
     work = partial(_guarded, context=context, cfg=cfg, out=out, cache=cache)
     with ThreadPoolExecutor(cpu_count()) as pool:
-        reasons = list(tqdm(pool.map(work, jobs), "ingest", len(jobs), unit="mesh", disable=None))
-    return [
-        Rejection(c.source, c.category, why)
-        for c, why in zip(candidates, reasons, strict=True)
-        if why
-    ]
+        results = pool.map(work, jobs)
+        reasons = list(progress_bar(results, total=len(jobs), desc="ingest", unit="file"))
+    pairs = zip(candidates, reasons, strict=True)
+    return [Rejection(c.source, c.category, reason) for c, reason in pairs if reason]
 
 
 def prepare_mesh(
     candidate: Candidate, longest_m: float, cfg: IngestConfig, cache: Path
 ) -> tuple[Draft, Mass]:
-    """Read, mend, decompose and place one mesh file. Raises Rejected or NoParts."""
+    """Read, repair, decompose and place one mesh file. Raises MeshRejected or NoParts."""
     mesh = read_surface(candidate.path, cfg.repair)
     check_surface(mesh, cfg.repair)
     if candidate.is_y_up:
         mesh.apply_transform(UPRIGHT_FROM_Y)
     mesh.apply_translation(-mesh.bounds.mean(0))
+    # Repairs have absolute tolerances, so the mesh has its final size before.
     mesh.vertices *= longest_m / float(mesh.extents[:2].max())
     mesh, status = repaired(mesh, cfg.repair)
     parts = decompose(mesh, cfg.convex, cache)
@@ -171,19 +163,17 @@ def _guarded(
     out: Path,
     cache: Path,
 ) -> str | None:
-    """Run one job in a child process; None when the mesh was taken, else the reason."""
+    """Run one job in a child process; returns None, or the reason of a rejection."""
     candidate, longest_m = job
     folder = out / candidate.id
     folder.mkdir(parents=True, exist_ok=True)
-    child = context.Process(
-        target=_work, args=(candidate, longest_m, cfg, folder, cache), daemon=True
-    )
+    args = candidate, longest_m, cfg, folder, cache
+    child = context.Process(target=_work, args=args, daemon=True)
     child.start()
-    child.join(PATIENCE * cfg.limit_s)
+    child.join(WALL_FACTOR * cfg.limit_s)
     is_late = child.is_alive() or child.exitcode == -signal.SIGXCPU
-    reason = (
-        f"took longer than {cfg.limit_s:g} s" if is_late else f"crashed (exit {child.exitcode})"
-    )
+    crash = f"crashed (exit {child.exitcode})"
+    reason = f"took longer than {cfg.limit_s:g} s" if is_late else crash
     child.kill()
     child.join()
     if (folder / RECORD).exists():
@@ -197,7 +187,7 @@ def _guarded(
 def _work(
     candidate: Candidate, longest_m: float, cfg: IngestConfig, folder: Path, cache: Path
 ) -> None:
-    """The child's job: leaves either a whole mesh or a reason in ``folder``."""
+    """Job of the child process: writes either a complete mesh or a reason to ``folder``."""
     limit = int(cfg.limit_gb * 2**30)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(cfg.limit_s), resource.RLIM_INFINITY))
@@ -208,6 +198,4 @@ def _work(
     except (MeshRejected, NoParts) as rejection:
         (folder / REASON).write_text(str(rejection))
     except READER_ERRORS as error:
-        (folder / REASON).write_text(
-            f"unusable: {type(error).__name__}: {' '.join(str(error).split())[:120]}"
-        )
+        (folder / REASON).write_text(f"unusable: {one_line(error)}")

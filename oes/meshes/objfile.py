@@ -1,4 +1,4 @@
-"""Our own OBJ files: triangles only, one ``o`` group a part, the same bytes for the same meshes."""
+"""OBJ files of triangles with one ``o`` group per part, deterministic to the byte."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import trimesh
 
 
 def write_groups(path: Path, meshes: Sequence[trimesh.Trimesh]) -> None:
-    """Write each mesh as one group (metres, to 10 nanometres)."""
+    """Write each mesh as one group (metres, with 8 decimals)."""
     lines, first = [], 1
     for index, mesh in enumerate(meshes):
         lines.append(f"o part_{index:02d}")
@@ -19,17 +19,13 @@ def write_groups(path: Path, meshes: Sequence[trimesh.Trimesh]) -> None:
 
 
 def read_groups(path: Path) -> list[trimesh.Trimesh]:
-    """Read what ``write_groups`` wrote. Raises ValueError on anything else, OSError when there is
-    no such file.
-    """
+    """Read a file of ``write_groups``. Raises ValueError for any other, OSError if unreadable."""
     meshes, first = [], 1
     for group in path.read_text(encoding="ascii").split("o part_")[1:]:
         lines = group.splitlines()[1:]
-        vertices = np.array([line[2:].split() for line in lines if line.startswith("v ")], float)
-        faces = (
-            np.array([line[2:].split() for line in lines if line.startswith("f ")], np.int64)
-            - first
-        )
+        rows = {key: [x[2:].split() for x in lines if x.startswith(f"{key} ")] for key in "vf"}
+        vertices = np.array(rows["v"], float)
+        faces = np.array(rows["f"], np.int64) - first
         _check(vertices, faces)
         meshes.append(trimesh.Trimesh(vertices, faces, process=False))
         first += len(vertices)

@@ -1,4 +1,4 @@
-"""Reading and mending a mesh file of unknown quality."""
+"""Reading and repair of a mesh file of unknown quality."""
 
 import struct
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from oes.meshes.draft import MeshRejected
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
 UPRIGHT_FROM_Y = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-READER_ERRORS = (
+READER_ERRORS = (  # what trimesh's readers raise on damaged files
     ValueError,
     TypeError,
     LookupError,
@@ -32,9 +32,7 @@ READER_ERRORS = (
 
 @params
 class RepairConfig:
-    """Limits on files nobody has vetted; above ``simplify_faces`` a mesh is simplified, above
-    ``max_faces`` refused.
-    """
+    """Limits on a file and its mesh; one of more than ``simplify_faces`` is simplified."""
 
     max_bytes: int
     max_faces: int
@@ -42,36 +40,35 @@ class RepairConfig:
 
 
 def read_surface(path: Path, cfg: RepairConfig) -> trimesh.Trimesh:
-    """The triangles of a file, as they are; nothing beside the file itself is opened. Raises
-    Rejected.
-    """
+    """The triangles of a file, as they are. Raises MeshRejected."""
     try:
         size = path.stat().st_size
         if size == 0:
             raise MeshRejected("empty file")
         if size > cfg.max_bytes:
             raise MeshRejected(f"{size} bytes, at most {cfg.max_bytes}")
+        kind = path.suffix[1:].lower()
+        # From an open file, so that a damaged one cannot name other files to read.
         with path.open("rb") as file:
-            mesh = trimesh.load_mesh(
-                file, file_type=path.suffix[1:].lower(), process=False, skip_materials=True
-            )
+            mesh = trimesh.load_mesh(file, file_type=kind, process=False, skip_materials=True)
     except MeshRejected:
         raise
     except READER_ERRORS as error:
-        raise MeshRejected(
-            f"unreadable: {type(error).__name__}: {' '.join(str(error).split())[:120]}"
-        ) from error
+        raise MeshRejected(f"unreadable: {one_line(error)}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise MeshRejected("no triangles: truncated, or not what its name says")
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
+def one_line(error: Exception) -> str:
+    """Class and message of an error, shortened."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
+
+
 def check_surface(mesh: trimesh.Trimesh, cfg: RepairConfig) -> None:
-    """Raise Rejected for what cannot be mended: too few or too many faces, bad numbers, no extent
-    in some direction.
-    """
+    """Raise MeshRejected for what no repair cures: face counts, bad numbers, a flat mesh."""
     if not 4 <= len(mesh.faces) <= cfg.max_faces:
-        raise MeshRejected(f"{len(mesh.faces)} faces, from 4 to {cfg.max_faces} are taken")
+        raise MeshRejected(f"{len(mesh.faces)} faces, from 4 to {cfg.max_faces} are accepted")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise MeshRejected("faces name vertices that do not exist")
     points = mesh.vertices[np.unique(mesh.faces)]
@@ -80,15 +77,15 @@ def check_surface(mesh: trimesh.Trimesh, cfg: RepairConfig) -> None:
         raise MeshRejected(f"{bad} of {len(points)} vertices are not finite numbers")
     extents = np.ptp(points, axis=0)
     if not 1e-12 < extents.max() < 1e12:
-        raise MeshRejected(f"absurd size: {extents.max():.3g} units")
+        raise MeshRejected(f"implausible size: {extents.max():.3g} units")
     if extents.min() < 1e-6 * extents.max():
         raise MeshRejected("zero volume: flat")
 
 
 def repaired(mesh: trimesh.Trimesh, cfg: RepairConfig) -> tuple[trimesh.Trimesh, str]:
-    """A mended copy of a mesh about 0.1 units wide, and what was done: 'clean' when nothing was."""
+    """A repaired copy of a mesh about 0.1 units wide, and the repairs in words, or 'clean'."""
     mesh = mesh.copy()
-    done = [word for word, act in STEPS.items() if act(mesh)]
+    done = [name for name, repair in STEPS.items() if repair(mesh)]
     if len(mesh.faces) < 4:
         raise MeshRejected("fewer than 4 faces are not degenerate or duplicate")
     if len(mesh.faces) > cfg.simplify_faces:
@@ -138,8 +135,9 @@ STEPS: dict[str, Callable[[trimesh.Trimesh], bool]] = {
 
 
 def simplified(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
-    """At most ``max_faces`` faces: by manifold3d for closed meshes, else by merging vertices in
-    ever larger cells.
+    """A mesh of at most ``max_faces`` faces: by manifold3d if closed, else by vertex clustering.
+
+    Raises MeshRejected if even cells of a tenth of its size leave more.
     """
     size = float(mesh.extents.max())
     for tolerance in size * np.geomspace(1e-4, 0.1, 13):
@@ -158,14 +156,13 @@ def _collapsed(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
 
 
 def _clustered(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    cells, owner_P = np.unique(
-        np.round(mesh.vertices / cell).astype(np.int64), axis=0, return_inverse=True
-    )
+    index_P3 = np.round(mesh.vertices / cell).astype(np.int64)
+    cells, cell_P = np.unique(index_P3, axis=0, return_inverse=True)
+    cell_P = cell_P.ravel()
     total = np.zeros((len(cells), 3))
-    np.add.at(total, owner_P.ravel(), mesh.vertices)
-    merged = trimesh.Trimesh(
-        total / np.bincount(owner_P.ravel())[:, None], owner_P.ravel()[mesh.faces], process=False
-    )
+    np.add.at(total, cell_P, mesh.vertices)
+    means = total / np.bincount(cell_P)[:, None]
+    merged = trimesh.Trimesh(means, cell_P[mesh.faces], process=False)
     _drop(merged, merged.nondegenerate_faces())
     _drop(merged, merged.unique_faces())
     return merged

@@ -1,7 +1,6 @@
-"""The toy blocks of Janner et al. 2019 (paper appendix B, falling), rebuilt from their published
-dimensions.
+"""The toy blocks of Janner et al. 2019 (paper appendix B), from their published dimensions.
 
-Units are the originals': a cube is 2 x 2 x 2. z is up; a block stands as it does in the original.
+In the original units (a cube is 2 x 2 x 2), z up, standing as the originals do.
 """
 
 from itertools import pairwise
@@ -50,8 +49,11 @@ def _arch() -> Shape:
     """A brick with half a cylinder cut out from below: wedges about the cylinder's axis."""
     ray_S2 = _arc(1, ARCH_SECTIONS)
     gate_S2, wall_S2 = ARCH_RADIUS * ray_S2, 2 * ray_S2 / np.abs(ray_S2).max(1, keepdims=True)
-    rings = [np.stack([np.insert(edge, 1, y) for edge, y in zip((a, b, b, a), (-1, -1, 1, 1), strict=True)])
-             for a, b in zip(gate_S2, wall_S2, strict=True)]  # fmt: skip
+    sides = (-1, -1, 1, 1)
+    rings = [
+        np.stack([np.insert(edge, 1, y) for edge, y in zip((a, b, b, a), sides, strict=True)])
+        for a, b in zip(gate_S2, wall_S2, strict=True)
+    ]
     parts = [convex_hull(np.concatenate(pair)).solid for pair in pairwise(rings)]
     return Shape(shell(np.stack(rings)), tuple(parts))
 
