@@ -17,3 +17,11 @@ def test_code_is_kept_apart_for_every_state_of_the_sources_of_compiled_functions
     assert cache_dir(tmp_path) == first, "nothing compiled has changed"
     (tmp_path / "b.py").write_text("@jit\ndef g(): return 2\n")
     assert cache_dir(tmp_path) != first, "f calls g"
+
+
+def test_a_change_of_a_named_tuple_changes_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("@jit\ndef f(x): return x.a\n")
+    (tmp_path / "b.py").write_text("class Pair(NamedTuple):\n    a: int\n")
+    first = cache_dir(tmp_path)
+    (tmp_path / "b.py").write_text("class Pair(NamedTuple):\n    b: int\n    a: int\n")
+    assert cache_dir(tmp_path) != first
