@@ -1,4 +1,4 @@
-"""A small, complete set of what the stages leave for the report, made up."""
+"""A small, complete, synthetic set of the outputs that the report reads."""
 
 import json
 from itertools import product
@@ -9,12 +9,20 @@ from PIL import Image
 from safetensors.numpy import save_file
 
 from oes.csv_io import write_csv
-from oes.report.findings import Inputs
-from oes.report.futures import CONSISTENCY, EDITS, FILES, RENDERS
-from oes.report.names import MODELS, SETTINGS
-from oes.report.perception import BOX, DETECTIONS
-from oes.report.rows import ERRORS, TRIALS
-from oes.report.video import FORECASTS, VIDEO_MODELS
+from oes.report.inputs import Inputs
+from oes.report.names import SETTINGS
+from oes.schema import (
+    BOX,
+    DETECTIONS,
+    ERRORS,
+    FORECASTS,
+    FUTURES,
+    IMAGE_MODELS,
+    MODELS,
+    TRIALS,
+    VIEWS,
+)
+from oes.viz.video import write_gif, write_video
 
 MORE_VIEWS = ("2views_pred", "3views_pred", "5views_pred")
 SCENES = {  # number of objects, split and setting
@@ -28,9 +36,8 @@ SCENES = {  # number of objects, split and setting
     ],
 }
 TILE_PX = 25
-UNTOLD = dict.fromkeys(
-    ("scale_mm", "within_50", "within_90", "nll", "nll_same")
-)  # of models that are never unsure
+UNCALIBRATED = dict.fromkeys(("sigma_mm", "within_50", "within_90", "nll", "nll_homoscedastic"))
+"""Columns of models without an error model."""
 
 
 def make_inputs(root: Path) -> Inputs:
@@ -58,7 +65,7 @@ def make_inputs(root: Path) -> Inputs:
     write_trials(found.trials)
     for folder in (found.meshes, found.perception, found.dynamics / "pushing-oes"):
         folder.mkdir(parents=True)
-    (found.meshes / "contact_sheet.png").write_bytes(b"picture")
+    write_image(found.meshes / "contact_sheet.png")
     about = {"format": "f", "config": "{}", "a": "1", "z": "2"}
     weights = {"w": np.linspace(-1, 1, 9, dtype=np.float32), "n": np.array([3], np.int64)}
     save_file(weights, found.perception / "perception.safetensors", about)
@@ -76,26 +83,33 @@ def make_inputs(root: Path) -> Inputs:
 def write_futures(folder: Path) -> None:
     """Two episodes: 3D-OES is better than graph-XYZ by a factor, and its error grows with T."""
     (folder / "gallery").mkdir(parents=True)
-    rows: dict[str, list[dict[str, object]]] = {name: [] for name in FILES}
+    rows: dict[str, list[dict[str, object]]] = {name: [] for name in FUTURES}
     for episode_i, T, (size, word) in product(
         (0, 1), (1, 3, 5), enumerate(("oes", "graph_xyz"), start=1)
     ):
-        about = {"episode_i": episode_i, "T": T}
-        pictures = (20.0 + episode_i, 0.8, 15.0 if episode_i else "", 0.1 * T * size)
-        rows["renders"].append(
-            about | dict(zip(tuple(RENDERS)[2:], (word, *pictures), strict=True))
-        )
-        rows["consistency"].append(
-            about | dict(zip(tuple(CONSISTENCY)[2:], (word, 2 + episode_i, 9.0, ""), strict=True))
-        )
-        rows["edits"] += [
-            about | dict(zip(tuple(EDITS)[2:], (kind, word, 2.0 * T * size, T * size), strict=True))
-            for kind in ("none", "move")
-        ]
-    for name, (kinds, _) in FILES.items():
-        write_csv(folder / f"{name}.csv", rows[name], list(kinds))
-    for name in ("forecast-000000.png", "views-000000.png", "views-000000.mp4", "edits-000000.png"):
-        (folder / "gallery" / name).write_bytes(b"picture")
+        about = {"task": folder.name, "episode_i": episode_i, "T": T}
+        quality = {"psnr_db": 20.0 + episode_i, "ssim": 0.8, "feature_error": 0.1 * T * size}
+        on_objects = {"objects_psnr_db": 15.0 if episode_i else ""}
+        rows["renders"].append(about | {"source": word} | quality | on_objects)
+        found = {"object_i": 0, "views_found": 2 + episode_i, "centre_mm": 9.0, "spread_mm": ""}
+        rows["consistency"].append(about | {"source": word} | found)
+        error = {"translation_mm": 2.0 * T * size, "rotation_deg": T * size}
+        row = about | {"model": word, "object_i": 0, "detected": 1} | error
+        rows["edits"] += [row | {"edit": kind} for kind in ("none", "move")]
+    for name, columns in FUTURES.items():
+        write_csv(folder / f"{name}.csv", rows[name], columns)
+    for name in ("forecast-000000.png", "views-000000.png", "edits-000000.png"):
+        write_image(folder / "gallery" / name)
+    write_film(folder / "gallery" / "views-000000.mp4")
+
+
+def write_image(path: Path) -> None:
+    Image.fromarray(np.full((40, 1600, 3), 90, np.uint8)).save(path)
+
+
+def write_film(path: Path) -> None:
+    """Three frames of 64 by 48 pixels at 5 frames a second."""
+    write_video(np.full((3, 48, 64, 3), 90, np.uint8), path, 5)
 
 
 def write_forecasts(folder: Path) -> None:
@@ -106,17 +120,17 @@ def write_forecasts(folder: Path) -> None:
         for clip, T in ((0, 1), (1, 1))
     ]
     write_csv(folder / "forecasts.csv", rows, list(FORECASTS))
-    (folder / "forecasts.png").write_bytes(b"picture")
+    write_image(folder / "forecasts.png")
 
 
 def write_errors(folder: Path, task: str) -> None:
     """Errors that grow with the model's place in the order, the number of objects, and fall with
     views.
 
-    Of pushing, two ablations too, as good as what they are part of.
+    Of pushing, two ablations too, with the errors of Contact.
     """
     rng = np.random.default_rng(0)
-    for size, model in enumerate((name for name in MODELS if name not in VIDEO_MODELS), start=1):
+    for size, model in enumerate((name for name in MODELS if name not in IMAGE_MODELS), start=1):
         rows = []
         for num_objects, split, setting in SCENES[task]:
             num_views = int(setting[0]) if setting[0].isdigit() else 1
@@ -189,12 +203,9 @@ def write_perception(folder: Path) -> None:
             rows.append(base | true | {"true_x_m": -0.1})
             rows.append(base | box | {"x_m": 0.25, "score": 0.3})
     write_csv(folder / "detections.csv", rows, list(DETECTIONS))
-    views = [
-        {"episode": 0, "step": 0, "num_views": n, "camera": 3, "psnr_db": 20 + n + i, "ssim": 0.8}
-        for n in (1, 3)
-        for i in (0, 1)
-    ]
-    write_csv(folder / "views.csv", views, list(views[0]))
+    about = {"episode": 0, "step": 0, "camera": 3, "ssim": 0.8}
+    views = [about | {"num_views": n, "psnr_db": 20 + n + i} for n in (1, 3) for i in (0, 1)]
+    write_csv(folder / "views.csv", views, VIEWS)
 
 
 def write_trials(folder: Path) -> None:
@@ -223,6 +234,7 @@ def write_trials(folder: Path) -> None:
                 video,
             )
             rows.append(dict(zip(TRIALS, values, strict=True)))
-            for suffix in (".mp4", ".gif") if video else ():
-                (folder / f"targets-{model}" / f"trial_{i:03d}{suffix}").write_bytes(b"film")
+            if video:
+                write_film(path := folder / f"targets-{model}" / video)
+                write_gif([(np.zeros((48, 64, 3), np.uint8), 0.2)], path.with_suffix(".gif"))
         write_csv(folder / f"targets-{model}" / "trials.csv", rows, list(TRIALS))

@@ -56,7 +56,7 @@ COLUMNS = (*NAMES, "T", "mean", "low", "high", "median", "n", "episodes", *VALUE
 def tidy(rows: Iterable[Row]) -> pd.DataFrame:
     """Rows as the tidy frame; an absent name is empty, an absent number missing."""
     frame = pd.DataFrame(list(rows), columns=list(COLUMNS))
-    frame[list(NAMES)] = frame[list(NAMES)].fillna("").astype("str")
+    frame[list(NAMES)] = frame[list(NAMES)].astype(object).fillna("").astype("str")
     return frame.astype(dict.fromkeys(VALUES, "float64") | dict.fromkeys(COUNTS, "Int64"))
 
 

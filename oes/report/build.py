@@ -33,7 +33,7 @@ def build(cfg: TablesConfig, inputs: Inputs, seeds: Mapping[str, int], out: Path
         *write_figures(frame, raw, logs, out),
         *copy_images(inputs, cfg.tasks, out),
         *(forecast_film(inputs.rollouts, task, out) for task in cfg.tasks),
-        *copy_films(inputs, raw.trials, cfg.scenarios, out),
+        *copy_films(inputs, raw.trials, cfg, out),
     ]
     copy_models(inputs.perception, inputs.dynamics, out / "models")
     write_plots(frame, logs, out / "plots")

@@ -10,7 +10,7 @@ import pandas as pd
 from PIL import Image
 
 from oes.report.figures import Media
-from oes.report.inputs import TASKS, Inputs
+from oes.report.inputs import Inputs, TablesConfig
 from oes.report.names import OURS, SCENARIOS, label
 from oes.schema import IMAGE_MODELS, VARIANTS
 from oes.training.compact_weights import write_compact
@@ -51,19 +51,17 @@ def copy_images(inputs: Inputs, tasks: Iterable[str], out: Path) -> list[Media]:
     return media
 
 
-def copy_films(
-    inputs: Inputs, trials: pd.DataFrame, scenarios: Iterable[str], out: Path
-) -> list[Media]:
+def copy_films(inputs: Inputs, trials: pd.DataFrame, cfg: TablesConfig, out: Path) -> list[Media]:
     """Films of futures from three cameras, and of 3D-OES's shortest success and failure in each
     scenario, as small MP4; ``films/push.gif`` shows that success around an obstacle.
     """
     folder, media = out / "films", []
-    for task in TASKS:
+    for task in cfg.tasks:
         for source in sorted((inputs.futures / task / "gallery").glob("*.mp4")):
             caption = f"{task.capitalize()}: {GALLERY[source.stem.split('-')[0]]}."
             write_film(source, folder / f"{task}-{source.name}")
             media.append(Media("futures", f"films/{task}-{source.name}", caption))
-    for scenario in scenarios:
+    for scenario in cfg.scenarios:
         own = trials[(trials["scenario"] == scenario) & (trials["model"] == OURS)]
         for is_success in (True, False):
             filmed = own[(own["success"] == is_success) & (own["video"] != "")]

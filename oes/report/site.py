@@ -42,9 +42,7 @@ def facts(frame: pd.DataFrame) -> list[Fact]:
         match row["block"], row["model"], row["metric"]:
             case "ratio", str(), "translation_mm":
                 if (row["against"], row["group"], row["T"]) == (BASELINE, VARIED, LAST):
-                    text = (
-                        f"{task}: translation error of {model} over that of graph-XYZ, T = {LAST}"
-                    )
+                    text = f"{task}: translation error of {model} over graph-XYZ, T = {LAST}"
                     found.append(Fact(f"{mean:.2f}", text))
             case "detector", _, "ap_50" if row["group"] == views_key(1):
                 found.append(Fact(f"{mean:.2f}", f"{task}: AP at IoU 0.5, novel objects, one view"))
