@@ -67,9 +67,7 @@ CFG = BaselinesConfig(
 
 
 def _squares(count: int, seed: int) -> Clips:
-    """A red square of 10 pixels on grey that each push carries along with the rod, which stands at
-    its middle.
-    """
+    """A red square of 10 pixels on grey that moves with the rod at its centre."""
     rng = np.random.default_rng(seed)
     start, push = rng.uniform(-0.4, 0.4, (count, 1, 2)), rng.uniform(-0.12, 0.12, (count, 5, 2))
     place = torch.from_numpy(

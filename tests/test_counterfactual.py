@@ -53,9 +53,7 @@ AIR, SOLID = -2.0, 8.0
 
 
 def make_boxes(count: int = 1) -> tuple[DecomposedScene, torch.Tensor]:
-    """Boxes of 4 x 2 x 2 voxels on the table, 10 cm apart, whose feature tells the voxel's x; and
-    their map.
-    """
+    """Boxes of 4 x 2 x 2 voxels, 10 cm apart, with the voxel's x as feature, and their map."""
     background = torch.zeros(2, *GRID.shape)
     background[0] = AIR
     volume, masks, center = (
@@ -128,9 +126,7 @@ def test_overlapping_objects_share_voxels() -> None:
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scenario, tuple]:
-    """Two objects pushed in Bullet, perceived exactly but for one detection that is false; and what
-    simulates it.
-    """
+    """Two pushed objects, perceived exactly plus one false detection, and the simulation."""
     catalogue = make_catalogue(tmp_path_factory.mktemp("meshes"))
     episode = simulate(
         catalogue, load(Path("params.yaml"), "episodes", EpisodesConfig), "pushing", "test2", 0
@@ -258,7 +254,7 @@ def test_no_edit_without_free_space_or_a_matched_object(world: tuple[Scenario, t
 
 
 class Oracle:
-    """Finds objects where they are, but for an error that depends on the view."""
+    """A perceiver that detects objects at given positions, view by view."""
 
     def __init__(self, places: list[np.ndarray]) -> None:
         self.places = iter(places)

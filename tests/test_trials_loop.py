@@ -145,7 +145,7 @@ class Oracle:
 
 
 class Shove(DynamicsModel):
-    """Whatever the rod's path would run into is carried along by the rest of the path."""
+    """Objects in the rod's path move with it from the first contact on."""
 
     def appearance(self, objects: Objects) -> Tensor:
         return objects.center_N3[..., :0]
@@ -195,9 +195,7 @@ def _task(
 def test_an_oracle_pushes_objects_to_their_goals(
     catalogue: Catalogue, sim: SimConfig, world: PushWorld
 ) -> None:
-    """Every step costs Bullet time, so only three trials: one object, two objects, and their
-    records.
-    """
+    """Three trials only, since every step costs simulation time."""
     results = [
         _run(world, sim, Oracle(), _task(catalogue, sim, i, n), i) for i, n in enumerate((1, 1, 2))
     ]
@@ -267,9 +265,7 @@ def test_a_trial_without_a_feasible_push_ends_with_its_reason(
 def test_an_oracle_pushes_around_an_obstacle(
     catalogue: Catalogue, sim: SimConfig, world: PushWorld
 ) -> None:
-    """Two trials with the cross-entropy method: at least one ends at the goal; what touches the
-    obstacle ends there.
-    """
+    """Two trials with CEM: at least one reaches the goal."""
     results = [
         _run(world, sim, Oracle(), _task(catalogue, sim, i, 1, AROUND), i, AROUND, CEM)
         for i in range(2)
@@ -287,7 +283,7 @@ def test_an_oracle_pushes_around_an_obstacle(
 def test_a_collision_with_an_obstacle_ends_the_trial(
     catalogue: Catalogue, sim: SimConfig, world: PushWorld
 ) -> None:
-    """A planner that does not care about the obstacle runs into it."""
+    """A planner without a collision cost runs into the obstacle."""
     task = _task(catalogue, sim, 1, 1, AROUND)
     planner = _planner(sim, Oracle())
     planner.cfg = replace(PLANNING, avoid=AvoidConfig(margin_m=-1.0, collision_cost_m=0.0))

@@ -54,7 +54,7 @@ def test_visual_foresight_without_flow_predicts_static_objects() -> None:
 
 
 def test_visual_foresight_moves_objects_with_their_pixels() -> None:
-    """Everything moves by one pixel to the right in each step: 1 cm."""
+    """Every pixel moves right by one (1 cm) per step."""
     net = VisualForesight(ForesightConfig(channels=(8, 8), num_flows=1)).eval()
     torch.nn.init.zeros_(net.out.weight)
     net.out.bias.data[:] = torch.tensor([float(np.arctanh(-2 / 64 / 0.3)), 0.0, 20.0, 0.0, 0.0])
@@ -84,9 +84,7 @@ def test_planet_cost_is_minus_reward_and_objects_are_static() -> None:
 
 
 def test_planet_orders_goals_from_left_to_right() -> None:
-    """The second object stands to the left of the first: swapping both objects and goals changes
-    nothing.
-    """
+    """Swapping both the objects and their goals changes nothing."""
     torch.manual_seed(0)
     net = PlaNet(
         PlanetConfig(
