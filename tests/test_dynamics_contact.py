@@ -60,7 +60,7 @@ def test_the_first_sample_is_the_input_and_the_spread_of_all_is_as_configured() 
         torch.testing.assert_close(first[name], value)
     deviation = samples.radius_BNRD.unflatten(0, (UNCERTAINTY.num_samples, -1)) - shapes.radius_BNRD
     assert float(deviation.std(0).mean()) == pytest.approx(0.002 * 2**0.5, rel=0.1), (
-        "standard deviation of a Laplace law"
+        "standard deviation of a Laplace distribution"
     )
     assert float(samples.mass_factor_BN.log().std()) == pytest.approx(0.1, rel=0.1)
     assert float(samples.friction_factor_BN.log().std()) == pytest.approx(0.2, rel=0.1)
@@ -161,7 +161,7 @@ def test_teacher_forced_steps_start_at_the_true_states() -> None:
     )
 
 
-def test_calibration_recovers_the_law_of_simulated_errors() -> None:
+def test_calibration_recovers_the_distribution_of_simulated_errors() -> None:
     rng = np.random.default_rng(0)
     spread_TP = rng.gamma(2.0, 0.005, (3, 4000))
     scale_TP = np.hypot(np.array([[0.001], [0.002], [0.004]]), 1.5 * spread_TP)
@@ -188,7 +188,7 @@ def test_calibration_recovers_the_law_of_simulated_errors() -> None:
     )
 
 
-def test_resting_objects_do_not_make_the_law_overconfident_about_moving_ones() -> None:
+def test_resting_objects_do_not_make_forecasts_of_moving_ones_overconfident() -> None:
     rng = np.random.default_rng(0)
     spread_TP = rng.gamma(2.0, 0.005, (3, 400)) * (np.arange(400) % 4 > 0)
     error_TP = np.linalg.norm(rng.normal(size=(3, 400, 2)), axis=-1) * np.maximum(spread_TP, 1e-5)

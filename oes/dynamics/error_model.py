@@ -11,19 +11,19 @@ from oes.episode import Floats
 from oes.metrics.errors import error_nll
 
 MM_M = 1e-3
-# Lower bound of sigma (metres): resting objects err by a tenth of it, and a law fitted to them
-# would be overconfident about the moving ones.
+# Lower bound of sigma (metres): errors of resting objects are a tenth of it, and a distribution
+# fitted to them would be overconfident about moving ones.
 MIN_SIGMA_M = 3e-4
 INITIAL_DOF, MIN_DOF = 2.0, 0.5
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Law of translation errors: a 2D Student t (``oes.metrics.errors.error_quantile``).
+    """Distribution of translation errors: a 2D Student t (``oes.metrics.errors.error_quantile``).
 
     It has ``dof`` degrees of freedom and, at step t, sigma^2 = floor_T[t]^2 + (spread_gain *
-    spread)^2 (metres). ``homoscedastic_sigma_T`` and ``homoscedastic_dof`` are the best law that
-    ignores the spread, for comparison.
+    spread)^2 (metres). ``homoscedastic_sigma_T`` and ``homoscedastic_dof`` fit errors best when
+    the spread is ignored, for comparison.
     """
 
     floor_T: tuple[float, ...]

@@ -20,7 +20,7 @@ MIN_GYRATION_M = 0.01
 MIN_COM_HEIGHT_M = 0.003
 MIN_RADIUS_M = 1e-3
 OUTERMOST_M = 0.002  # a layer this close to the outermost one counts as reaching as far
-LAPLACE_STD = 2**0.5  # of a Laplace law with scale 1, the law of the predicted radii
+LAPLACE_STD = 2**0.5  # standard deviation of a Laplace distribution of scale 1
 NUM_SCALARS = 7
 
 
