@@ -21,7 +21,7 @@ from oes.record.dataset import FrameSource
 from oes.render.renderer import Renderer
 from oes.render.scene import mesh_poses
 
-PHOTOGRAPH, ENCODED = "photograph", "encoded"
+PHOTOGRAPH, ENCODED = "photograph", "encoded"  # sources without a motion
 FutureRow = dict[str, float | int | str | None]
 
 
@@ -75,7 +75,10 @@ class FutureEvaluator:
     def consistency(
         self, scene: DecomposedScene, name: str, motion: ObjectMotion, T: int
     ) -> Iterator[FutureRow]:
-        """Detections of each composed object in one rendered view at a time."""
+        """Detections of each composed object in one rendered view at a time.
+
+        ``centre_mm``: mean distance from the composed centre; ``spread_mm``: between the views.
+        """
         poses = motion.poses(self.scenario.poses, T)
         _, cameras = self._images(T)
         frames = self.perceiver.render_fields(compose(scene, poses), scene.far_field, cameras)
