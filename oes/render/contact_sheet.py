@@ -1,7 +1,6 @@
 """Contact sheet of a mesh catalogue: every mesh with its name, category, split and size."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
@@ -12,11 +11,9 @@ from matplotlib.figure import Figure
 from oes.episode import SEG_FIRST_OBJECT, SEG_NOTHING, Camera, Floats
 from oes.geom.camera import intrinsics, look_at
 from oes.geom.se3 import rigid, rotation_z
+from oes.meshes.catalogue import Catalogue, Mesh
 from oes.render.renderer import Renderer
 from oes.render.scene import RenderMesh
-
-if TYPE_CHECKING:
-    from oes.meshes.catalogue import Catalogue, Mesh
 
 COLUMNS, GAP_PX, HEAD_PX, CAPTION_PX = 8, 16, 84, 54
 FOV_DEG, SUPERSAMPLING, MARGIN = 12.0, 3, 1.08  # a narrow field of view looks orthographic
@@ -41,7 +38,7 @@ OTHER_RGB = (0.66, 0.58, 0.52)
 NAME_PT, FULL_LETTERS, MAX_LETTERS = 9.5, 23, 30  # longer names are set smaller, then cut
 
 
-def write_contact_sheet(catalogue: "Catalogue", tile_px: int, path: Path) -> None:
+def write_contact_sheet(catalogue: Catalogue, tile_px: int, path: Path) -> None:
     """Write a PNG with eight meshes a row; deterministic."""
     meshes = list(catalogue.meshes.values())
     cell_px = np.array([tile_px + GAP_PX, tile_px + CAPTION_PX + GAP_PX])
@@ -61,7 +58,7 @@ def write_contact_sheet(catalogue: "Catalogue", tile_px: int, path: Path) -> Non
         FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})  # type: ignore[no-untyped-call]
 
 
-def _tile(canvas: Axes, mesh: "Mesh", left_px: float, top_px: float, tile_px: int) -> None:
+def _tile(canvas: Axes, mesh: Mesh, left_px: float, top_px: float, tile_px: int) -> None:
     """A mesh with a scale bar; below it its name and split, its category and size."""
     rgba_HW4, px_per_m = _image(mesh, tile_px)
     right_px, bottom_px = left_px + tile_px, top_px + tile_px
@@ -87,7 +84,7 @@ def _text(
     canvas.text(x, y, text, color=color, fontsize=size_pt, va="center", **style)  # type: ignore[arg-type]
 
 
-def _image(mesh: "Mesh", size_px: int) -> tuple[Floats, float]:
+def _image(mesh: Mesh, size_px: int) -> tuple[Floats, float]:
     """The mesh in the colour of its category: RGBA (HW4, 0..1), and pixels per metre."""
     points_P3 = mesh.visual.vertices
     radius_m = MARGIN * float(np.linalg.norm(points_P3, axis=1).max())

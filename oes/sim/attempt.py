@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oes.config import params
 from oes.episode import Body, Camera, Floats, Step
+from oes.meshes.catalogue import Mesh
 from oes.sim.bodies import draw_body
 from oes.sim.drop import FallsConfig, draw_drop
 from oes.sim.rig import rig
@@ -21,9 +21,6 @@ from oes.sim.scene import (
     scatter,
 )
 from oes.sim.world import NS_PER_MS, World
-
-if TYPE_CHECKING:
-    from oes.meshes.catalogue import Mesh
 
 
 @params
@@ -45,7 +42,7 @@ class EpisodeSampler:
     """
 
     world: World
-    meshes: Sequence["Mesh"]
+    meshes: Sequence[Mesh]
     num_objects: int
     rng: np.random.Generator
     camera_rng: np.random.Generator

@@ -1,7 +1,5 @@
 """Catalogue meshes as Bullet bodies: inertial frame, footprint, bounding box and pose."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import shapely
 
@@ -9,10 +7,8 @@ from oes.config import params
 from oes.episode import Body, Floats
 from oes.geom.boxes import aabb
 from oes.geom.se3 import from_quat_xyzw, inverse, quat_xyzw, rigid, rotation_z, transform
+from oes.meshes.catalogue import Mesh
 from oes.sim.client import Bullet
-
-if TYPE_CHECKING:
-    from oes.meshes.catalogue import Mesh
 
 
 @params
@@ -40,7 +36,7 @@ class BodiesConfig:
             raise ValueError(f"scale: expected exactly train, test; found {', '.join(self.scale)}")
 
 
-def draw_body(mesh: "Mesh", cfg: BodiesConfig, rng: np.random.Generator) -> Body:
+def draw_body(mesh: Mesh, cfg: BodiesConfig, rng: np.random.Generator) -> Body:
     """A body of random size, mass, friction and texture (paper appendix B: textures)."""
     low, high = np.log(cfg.randomize)
     mass, friction = np.array([cfg.mass_kg, cfg.friction]) * np.exp(rng.uniform(low, high, 2))
@@ -54,7 +50,7 @@ def draw_body(mesh: "Mesh", cfg: BodiesConfig, rng: np.random.Generator) -> Body
     )
 
 
-def mass_frame(mesh: "Mesh", scale_3: Floats, mass_kg: float) -> tuple[Floats, Floats]:
+def mass_frame(mesh: Mesh, scale_3: Floats, mass_kg: float) -> tuple[Floats, Floats]:
     """Inertial frame ``obj_T_com`` (along the principal axes) and principal moments (3, kg m2)."""
     # Second moments, unlike the inertia tensor, scale axis by axis, so the result is exact.
     second_33 = 0.5 * np.trace(mesh.inertia_obj_33) * np.eye(3) - mesh.inertia_obj_33
@@ -64,7 +60,7 @@ def mass_frame(mesh: "Mesh", scale_3: Floats, mass_kg: float) -> tuple[Floats, F
     return rigid(axes, mesh.com_obj_3 * scale_3), moments
 
 
-def spawn(bullet: Bullet, mesh: "Mesh", body: Body, cfg: BodiesConfig) -> int:
+def spawn(bullet: Bullet, mesh: Mesh, body: Body, cfg: BodiesConfig) -> int:
     """Add a dynamic compound of the mesh's convex parts; returns its id. Its pose is not set."""
     obj_T_com, moments = mass_frame(mesh, body.scale_3, body.mass_kg)
     shape = bullet.createCollisionShape(
@@ -107,18 +103,18 @@ def get_pose(bullet: Bullet, body_id: int, obj_T_com: Floats) -> Floats:
     return world_T_com @ inverse(obj_T_com)
 
 
-def upright(mesh: "Mesh", body: Body, xy_m: Floats, yaw_rad: float) -> Floats:
+def upright(mesh: Mesh, body: Body, xy_m: Floats, yaw_rad: float) -> Floats:
     """``world_T_obj`` of a body that stands on the table with its box centre above ``xy_m``."""
     height = -mesh.visual.bounds[0, 2] * body.scale_3[2]
     return rigid(rotation_z(yaw_rad), np.array([*xy_m, height]))
 
 
-def true_box(mesh: "Mesh", body: Body, world_T_obj: Floats) -> tuple[Floats, Floats]:
+def true_box(mesh: Mesh, body: Body, world_T_obj: Floats) -> tuple[Floats, Floats]:
     """Centre and size of the axis-aligned box (world axes) around the posed mesh."""
     return aabb(transform(world_T_obj, mesh.visual.vertices * body.scale_3))
 
 
-def body_footprint(mesh: "Mesh", body: Body, world_T_obj: Floats) -> shapely.Geometry:
+def body_footprint(mesh: Mesh, body: Body, world_T_obj: Floats) -> shapely.Geometry:
     """Vertical projection of the posed body: the union of those of its convex parts."""
     points = [transform(world_T_obj, part.vertices * body.scale_3)[:, :2] for part in mesh.parts]
     return shapely.union_all([shapely.MultiPoint(part_P2).convex_hull for part_P2 in points])

@@ -1,7 +1,6 @@
 """Random falling scenes: upright blocks, and one more in the air above or beside them."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -11,11 +10,9 @@ from oes.config import params
 from oes.episode import Body, Floats
 from oes.geom.boxes import aabb
 from oes.geom.se3 import rigid, transform
+from oes.meshes.catalogue import Mesh
 from oes.sim.bodies import body_footprint
 from oes.sim.scene import ScatterConfig, SceneRejected
-
-if TYPE_CHECKING:
-    from oes.meshes.catalogue import Mesh
 
 
 @params
@@ -40,7 +37,7 @@ class FallsConfig:
 
 
 def draw_drop(
-    meshes: Sequence["Mesh"],
+    meshes: Sequence[Mesh],
     bodies: Sequence[Body],
     standing_N44: Floats,
     cfg: FallsConfig,

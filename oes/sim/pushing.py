@@ -1,25 +1,23 @@
 """Simulated world of closed-loop trials: one push at a time, with new cameras after each."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 import shapely
 
 from oes.episode import Body, Floats, Step
+from oes.meshes.catalogue import Catalogue
 from oes.sim.arm import ReachError, joints_for
 from oes.sim.bodies import body_footprint
 from oes.sim.rig import rig
 from oes.sim.world import NS_PER_MS, SimConfig, World
 
-if TYPE_CHECKING:
-    from oes.meshes.catalogue import Catalogue
-
 
 class PushWorld:
     """Objects on the table and the arm; a context manager. The arm stays where a push ended."""
 
-    def __init__(self, catalogue: "Catalogue", cfg: SimConfig, settle_ms: int) -> None:
+    def __init__(self, catalogue: Catalogue, cfg: SimConfig, settle_ms: int) -> None:
         """``settle_ms``: time from the end of a push to the recorded state.
 
         Raises ValueError if a duration is no whole number of physics steps.

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -10,11 +9,9 @@ import shapely
 from oes.config import params
 from oes.episode import Body, Floats
 from oes.geom.boxes import aabb
+from oes.meshes.catalogue import Mesh
 from oes.sim.bodies import BodiesConfig, body_footprint, draw_body, upright
 from oes.sim.robot import RobotConfig
-
-if TYPE_CHECKING:
-    from oes.meshes.catalogue import Mesh
 
 MARCH_STEP_M = 0.001  # resolution of the search for the rod's first contact with a footprint
 MARCH_START_M = 0.25  # longer than any object, so that the search starts in free space
@@ -79,7 +76,7 @@ class PushScene:
 
 
 def draw_scene(
-    meshes: Sequence["Mesh"],
+    meshes: Sequence[Mesh],
     num_objects: int,
     bodies_cfg: BodiesConfig,
     robot: RobotConfig,
@@ -104,9 +101,7 @@ def draw_scene(
     return PushScene(tuple(bodies), np.array(poses), tip_3, float(heading_rad))
 
 
-def draw_meshes(
-    meshes: Sequence["Mesh"], num_objects: int, rng: np.random.Generator
-) -> list["Mesh"]:
+def draw_meshes(meshes: Sequence[Mesh], num_objects: int, rng: np.random.Generator) -> list[Mesh]:
     """Random meshes, with repetition only if there are fewer than ``num_objects``.
 
     Raises ValueError without meshes.
@@ -118,7 +113,7 @@ def draw_meshes(
 
 
 def scatter(
-    meshes: Sequence["Mesh"], bodies: Sequence[Body], cfg: ScatterConfig, rng: np.random.Generator
+    meshes: Sequence[Mesh], bodies: Sequence[Body], cfg: ScatterConfig, rng: np.random.Generator
 ) -> Floats:
     """Random upright poses N44 without overlap. Raises SceneRejected if the bodies do not fit."""
     poses: list[Floats] = []
@@ -189,7 +184,7 @@ def _rod_start(
 
 
 def _place_next(
-    mesh: "Mesh",
+    mesh: Mesh,
     body: Body,
     pushed_xy: Floats,
     forward: Floats,

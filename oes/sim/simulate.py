@@ -2,20 +2,17 @@
 
 import zlib
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oes.config import Shared, params
 from oes.episode import FALLING, PUSHING, Body, Episode
+from oes.meshes.catalogue import Catalogue
 from oes.sim.arm import ReachError
 from oes.sim.attempt import EpisodeSampler, SettleConfig, attempt_drop, attempt_push, record, rms
 from oes.sim.drop import FallsConfig
 from oes.sim.scene import PushesConfig, SceneRejected
 from oes.sim.world import NS_PER_MS, SimConfig, World
-
-if TYPE_CHECKING:
-    from oes.meshes.catalogue import Catalogue
 
 TASKS = (PUSHING, FALLING)
 
@@ -59,7 +56,7 @@ class EpisodesConfig:
 
 
 def simulate(
-    catalogue: "Catalogue", cfg: EpisodesConfig, task: str, split: str, index: int
+    catalogue: Catalogue, cfg: EpisodesConfig, task: str, split: str, index: int
 ) -> Episode:
     """Episode ``index`` of a split: the first attempt that is not rejected; deterministic.
 
@@ -102,7 +99,7 @@ def count_rejected(episode: Episode, cfg: EpisodesConfig) -> int:
 
 
 def replay(
-    catalogue: "Catalogue", cfg: SimConfig, episode: Episode, mass_kg: float, friction: float
+    catalogue: Catalogue, cfg: SimConfig, episode: Episode, mass_kg: float, friction: float
 ) -> Episode:
     """The same start and actions with one mass and friction for all bodies: Bullet's forecast when
     it does not know them.
@@ -112,7 +109,7 @@ def replay(
 
 
 def replay_bodies(
-    catalogue: "Catalogue", cfg: SimConfig, episode: Episode, bodies: tuple[Body, ...]
+    catalogue: Catalogue, cfg: SimConfig, episode: Episode, bodies: tuple[Body, ...]
 ) -> Episode:
     """The same start, actions, cameras and times with other bodies."""
     first = episode.steps[0]

@@ -3,21 +3,19 @@
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oes.config import params
 from oes.episode import Body, Camera, Floats, Step
+from oes.meshes.catalogue import Catalogue
 from oes.sim.arm import ArmConfig, RodArm
 from oes.sim.bodies import BodiesConfig, get_pose, mass_frame, set_pose, spawn, true_box
 from oes.sim.client import Bullet
 from oes.sim.rig import RigConfig
 from oes.sim.robot import RobotConfig, write_urdf
-
-if TYPE_CHECKING:
-    from oes.meshes.catalogue import Catalogue
 
 GRAVITY_M_S2 = 9.81
 NS_PER_MS = 1_000_000
@@ -57,7 +55,7 @@ def count_steps(duration_ms: int, cfg: PhysicsConfig) -> int:
 class World:
     """A context manager that owns one Bullet client; ``reset`` starts each scene from nothing."""
 
-    def __init__(self, catalogue: "Catalogue", cfg: SimConfig) -> None:
+    def __init__(self, catalogue: Catalogue, cfg: SimConfig) -> None:
         """Raises ValueError if ``timestep_ms`` is no whole multiple of ``step_ms``."""
         self.catalogue, self.cfg = catalogue, cfg
         self.steps_per_action = count_steps(cfg.physics.timestep_ms, cfg.physics)

@@ -1,1 +1,1 @@
-"""Generators of meshes with exact convex parts."""
+"""Generators of meshes with exact convex parts. Start with ``shapes``."""

@@ -1,19 +1,8 @@
 """Procedural beds (centimetres, z up, the head at -y)."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from oes.meshes.generators.shapes import (
-    Shape,
-    block,
-    convex_hull,
-    frustum,
-    join,
-    ring,
-    rotate_shape,
-    slab,
-)
+from oes.meshes.generators.shapes import Shape, block, convex_hull, frustum, join, ring, slab
 
 
 def bed(rng: np.random.Generator, style: int) -> Shape:
@@ -30,9 +19,7 @@ def _panel(rng: np.random.Generator) -> Shape:
 
 
 def _slatted(rng: np.random.Generator) -> Shape:
-    """Double bed, a headboard of upright slats between posts, four legs, two pillows and a folded
-    blanket.
-    """
+    """Double bed: a headboard of slats between posts, legs, two pillows, a folded blanket."""
     width, length, height = rng.uniform(140, 156), rng.uniform(196, 206), rng.uniform(100, 112)
     y = -length / 2 - 2
     posts = [block((12, 12, height), (side * (width / 2), y, height / 2), 1.5) for side in (-1, 1)]
@@ -43,15 +30,8 @@ def _slatted(rng: np.random.Generator) -> Shape:
     ]
     fold = block((width + 3, 60, 9), (0, 0.22 * length, 46), 2.5)
     legs = _legs(width, length, 14, 6)[2:]
-    return join(
-        *posts,
-        *rails,
-        *slats,
-        fold,
-        *legs,
-        *_berth(width, length, 27),
-        *_pillows(width, length, 49, 2),
-    )
+    soft = [*_berth(width, length, 27), *_pillows(width, length, 49, 2)]
+    return join(*posts, *rails, *slats, fold, *legs, *soft)
 
 
 def _sleigh(rng: np.random.Generator) -> Shape:
@@ -64,9 +44,8 @@ def _sleigh(rng: np.random.Generator) -> Shape:
             for x in (-width / 2 - 4, width / 2 + 4)
             for dy, z in ((-6, 0), (6, 0), (6 + 14 * out, height), (-6 + 14 * out, height))
         ]
-        roll = rotate_shape(frustum(9, 9, width + 12, 28), "x").moved(
-            (-width / 2 - 6, y + 17 * out, height - 3)
-        )
+        roll = frustum(9, 9, width + 12, 28).turned("x")
+        roll = roll.moved((-width / 2 - 6, y + 17 * out, height - 3))
         ends += [convex_hull(base), roll]
     return join(*ends, *_berth(width, length, 24), *_pillows(width, length, 47, 2))
 
@@ -74,27 +53,18 @@ def _sleigh(rng: np.random.Generator) -> Shape:
 def _canopy(rng: np.random.Generator) -> Shape:
     """Four-poster: posts, a frame on top, a low headboard and two pillows."""
     width, length, height = rng.uniform(138, 150), rng.uniform(192, 202), rng.uniform(150, 168)
-    posts = [
-        block((11, 11, height), (x * width / 2, y * length / 2, height / 2), 1.5)
-        for x in (-1, 1)
-        for y in (-1, 1)
-    ]
+    posts = _posts(11, width, length, height)
     long = [block((9, length, 9), (x * width / 2, 0, height - 5), 1) for x in (-1, 1)]
     wide = [block((width, 9, 9), (0, y * length / 2, height - 5.5), 1) for y in (-1, 1)]
     head = _board(width - 4, 88, 14, 7).moved((0, -length / 2, 0))
-    return join(
-        *posts, *long, *wide, head, *_berth(width, length, 28), *_pillows(width, length, 51, 2)
-    )
+    soft = [*_berth(width, length, 28), *_pillows(width, length, 51, 2)]
+    return join(*posts, *long, *wide, head, *soft)
 
 
 def _bunk(rng: np.random.Generator) -> Shape:
     """Bunk bed: two berths between four posts, guard rails above and a ladder at one side."""
     width, length, height = rng.uniform(100, 112), rng.uniform(194, 204), rng.uniform(142, 154)
-    posts = [
-        block((12, 12, height), (x * width / 2, y * length / 2, height / 2), 1.5)
-        for x in (-1, 1)
-        for y in (-1, 1)
-    ]
+    posts = _posts(12, width, length, height)
     rails = [block((7, length, 9), (x * width / 2, 0, height - 7), 1) for x in (-1, 1)]
     ends = [
         block((width, 7, 10), (0, y * length / 2, z), 1) for y in (-1, 1) for z in (height - 8, 62)
@@ -108,9 +78,7 @@ def _bunk(rng: np.random.Generator) -> Shape:
 
 
 def _platform(rng: np.random.Generator) -> Shape:
-    """Low wide bed: a plinth wider than the mattress, an upholstered headboard of three
-    cushions.
-    """
+    """Low wide bed: a plinth wider than the mattress, a headboard of three cushions."""
     width, length = rng.uniform(158, 172), rng.uniform(198, 206)
     plinth = block((width + 22, length + 16, 16), (0, 0, 18), 2)
     foot = block((width - 14, length - 14, 14), (0, 0, 7), 1)
@@ -121,6 +89,16 @@ def _platform(rng: np.random.Generator) -> Shape:
         for x in (-1, 0, 1)
     ]
     return join(plinth, foot, mattress, head, *cushions, *_pillows(width, length - 14, 50, 2))
+
+
+def _posts(thick: float, width: float, length: float, height: float) -> list[Shape]:
+    """Square posts at the four corners."""
+    center = width / 2, length / 2, height / 2
+    return [
+        block((thick, thick, height), np.multiply((x, y, 1), center), 1.5)
+        for x in (-1, 1)
+        for y in (-1, 1)
+    ]
 
 
 def _berth(width: float, length: float, z: float) -> list[Shape]:
@@ -151,11 +129,9 @@ def _pillows(width: float, length: float, z: float, count: int) -> list[Shape]:
     share = (width - 14) / count
     span, deep, high = min(share - 4, 66), 40, 13
     profile = [(1.0, 0.0), (0.98, 0.45), (0.86, 0.8), (0.6, 1.0)]
-    cushion = convex_hull(
-        np.concatenate(
-            [_cushion(span * s, deep * s, s_z * high / 2) for s, up in profile for s_z in (up, -up)]
-        )
-    )
+    levels = [(share, z_share) for share, up in profile for z_share in (up, -up)]
+    rings = [_cushion(span * s, deep * s, up * high / 2) for s, up in levels]
+    cushion = convex_hull(np.concatenate(rings))
     offsets = (np.arange(count) - (count - 1) / 2) * share
     return [cushion.moved((x, -length / 2 + 10 + deep / 2, z + 2)) for x in offsets]
 
@@ -167,11 +143,4 @@ def _cushion(span: float, deep: float, z: float) -> np.ndarray:
     return np.concatenate([points[:, :2] * stretch * (span / 2, deep / 2), np.full((24, 1), z)], 1)
 
 
-BED_STYLES: tuple[Callable[[np.random.Generator], Shape], ...] = (
-    _panel,
-    _slatted,
-    _sleigh,
-    _canopy,
-    _bunk,
-    _platform,
-)
+BED_STYLES = (_panel, _slatted, _sleigh, _canopy, _bunk, _platform)

@@ -47,12 +47,12 @@ def _hat() -> Shape:
 
 def _arch() -> Shape:
     """A brick with half a cylinder cut out from below: wedges about the cylinder's axis."""
-    ray_S2 = _arc(1, ARCH_SECTIONS)
-    gate_S2, wall_S2 = ARCH_RADIUS * ray_S2, 2 * ray_S2 / np.abs(ray_S2).max(1, keepdims=True)
+    ray_D2 = _arc(1, ARCH_SECTIONS)
+    gate_D2, wall_D2 = ARCH_RADIUS * ray_D2, 2 * ray_D2 / np.abs(ray_D2).max(1, keepdims=True)
     sides = (-1, -1, 1, 1)
     rings = [
         np.stack([np.insert(edge, 1, y) for edge, y in zip((a, b, b, a), sides, strict=True)])
-        for a, b in zip(gate_S2, wall_S2, strict=True)
+        for a, b in zip(gate_D2, wall_D2, strict=True)
     ]
     parts = [convex_hull(np.concatenate(pair)).solid for pair in pairwise(rings)]
     return Shape(shell(np.stack(rings)), tuple(parts))

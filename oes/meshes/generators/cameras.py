@@ -1,19 +1,8 @@
 """Procedural cameras (centimetres, z up, the lens looks along +y)."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from oes.meshes.generators.shapes import (
-    Shape,
-    block,
-    convex_hull,
-    frustum,
-    join,
-    ring,
-    rotate_shape,
-    slab,
-)
+from oes.meshes.generators.shapes import Shape, block, convex_hull, frustum, join, ring, slab
 
 CAMERA_SECTIONS = 40
 
@@ -47,19 +36,10 @@ def _rangefinder(rng: np.random.Generator) -> Shape:
     lens = _lens(depth / 2, 0.47 * height, (2.9, 2.5), (1.2, rng.uniform(1.4, 2.2)))
     window = block((1.9, 0.6, 1.0), (-width / 2 + 3.6, depth / 2 - 0.2, height + 0.45), 0.12)
     small = block((1.1, 0.5, 0.8), (0.6, depth / 2 - 0.2, height + 0.45), 0.12)
-    knobs = [
-        (-width / 2 + 1.5, 1.1, 1.3),
-        (width / 2 - 1.4, 1.2, 1.1),
-        (width / 2 - 4.0, 0.85, 2.1),
-    ]
-    return join(
-        body,
-        plate,
-        lens,
-        window,
-        small,
-        *(frustum(r, 0.93 * r, h, 28).moved((x, 0, height - 0.3)) for x, r, h in knobs),
-    )
+    end = width / 2
+    sizes = [(1.5 - end, 1.1, 1.3), (end - 1.4, 1.2, 1.1), (end - 4.0, 0.85, 2.1)]
+    knobs = [frustum(r, 0.93 * r, h, 28).moved((x, 0, height - 0.3)) for x, r, h in sizes]
+    return join(body, plate, lens, window, small, *knobs)
 
 
 def _compact(rng: np.random.Generator) -> Shape:
@@ -76,9 +56,7 @@ def _compact(rng: np.random.Generator) -> Shape:
 
 
 def _instant(rng: np.random.Generator) -> Shape:
-    """Instant camera: a wedge-shaped body, a wide nose with the print slot, a small lens and a
-    flash block.
-    """
+    """Instant camera: a wedge-shaped body, a wide nose with a slot, a small lens, a flash."""
     width, height, depth = rng.uniform(10.5, 11.5), rng.uniform(9.0, 9.8), rng.uniform(8.2, 9.2)
     back, front = -depth / 2, depth / 2
     side_yz = [
@@ -100,9 +78,7 @@ def _instant(rng: np.random.Generator) -> Shape:
 
 
 def _box(rng: np.random.Generator) -> Shape:
-    """Twin-lens box camera: a tall body, two lenses one above the other, a raised hood and a
-    crank.
-    """
+    """Twin-lens box camera: a tall body, two lenses, a raised hood and two knobs."""
     width, height, depth = rng.uniform(7.4, 8.2), rng.uniform(10.2, 11.2), rng.uniform(8.0, 8.8)
     body = block((width, depth, height), (0, 0, height / 2), 0.5)
     hood = block((width - 1.6, depth - 2.2, 1.8), (0, -0.3, height + 0.6), 0.25)
@@ -111,7 +87,7 @@ def _box(rng: np.random.Generator) -> Shape:
     taking = _lens(depth / 2 + 0.8, 0.29 * height, (2.2, 1.9), (1.0, 0.8))
     viewing = _lens(depth / 2 + 0.8, 0.70 * height, (2.1, 1.8), (0.9, 0.7))
     knobs = [
-        rotate_shape(frustum(r, 0.9 * r, 1.6, 28), "x").moved((width / 2 - 0.4, y, z))
+        frustum(r, 0.9 * r, 1.6, 28).turned("x").moved((width / 2 - 0.4, y, z))
         for r, y, z in ((1.5, 0.6, 3.4), (1.1, -1.0, 7.4))
     ]
     return join(body, hood.cut(well), plate, taking, viewing, *knobs)
@@ -137,55 +113,29 @@ def _bridge(rng: np.random.Generator) -> Shape:
 
 
 def _lens(y: float, z: float, radii: tuple[float, ...], lengths: tuple[float, ...]) -> Shape:
-    """Stepped barrel from the body's face at ``y``, hollowed at its mouth with a domed glass
-    inside.
-    """
+    """Stepped barrel from the body's face at ``y``, with a domed glass in its hollow mouth."""
     barrels, start = [], y - 0.5
     for radius, length in zip(radii, lengths, strict=True):
-        barrels.append(
-            rotate_shape(frustum(radius, 0.97 * radius, length + 0.5, CAMERA_SECTIONS), "y").moved(
-                (0, start, z)
-            )
-        )
+        barrel = frustum(radius, 0.97 * radius, length + 0.5, CAMERA_SECTIONS).turned("y")
+        barrels.append(barrel.moved((0, start, z)))
         start += length
     mouth, end = 0.8 * radii[-1], start + 0.5
-    recess = rotate_shape(frustum(0.8 * mouth, mouth, 0.8, CAMERA_SECTIONS), "y").moved(
-        (0, end - 0.55, z)
-    )
+    recess = frustum(0.8 * mouth, mouth, 0.8, CAMERA_SECTIONS).turned("y")
+    recess = recess.moved((0, end - 0.55, z))
     levels = [(0.78 * mouth * np.cos(a), 0.3 * np.sin(a)) for a in np.linspace(0, 1.2, 5)]
-    glass = rotate_shape(
-        convex_hull(
-            np.concatenate(
-                [ring(r, h, CAMERA_SECTIONS) for r, h in ((0.78 * mouth, -0.3), *levels)]
-            )
-        ),
-        "y",
-    )
+    rings = [ring(r, h, CAMERA_SECTIONS) for r, h in ((0.78 * mouth, -0.3), *levels)]
+    glass = convex_hull(np.concatenate(rings)).turned("y")
     barrels[-1] = barrels[-1].cut(recess)
     return join(*barrels, Shape(glass.solid, ()).moved((0, end - 0.6, z)))
 
 
 def _rounded(width: float, depth: float, height: float) -> Shape:
     """A body with half-round ends and slightly bevelled base and top."""
-    ends = [
-        ring(r, z, 32)
-        for r, z in (
-            (depth / 2 - 0.2, 0),
-            (depth / 2, 0.25),
-            (depth / 2, height - 0.25),
-            (depth / 2 - 0.2, height),
-        )
-    ]
-    outline = np.concatenate(ends)
+    r = depth / 2
+    levels = ((r - 0.2, 0), (r, 0.25), (r, height - 0.25), (r - 0.2, height))
+    outline = np.concatenate([ring(radius, z, 32) for radius, z in levels])
     shift = np.array([(width - depth) / 2, 0, 0])
     return convex_hull(np.concatenate([outline - shift, outline + shift]))
 
 
-CAMERA_STYLES: tuple[Callable[[np.random.Generator], Shape], ...] = (
-    _reflex,
-    _rangefinder,
-    _compact,
-    _instant,
-    _box,
-    _bridge,
-)
+CAMERA_STYLES = (_reflex, _rangefinder, _compact, _instant, _box, _bridge)

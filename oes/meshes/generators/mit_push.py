@@ -1,9 +1,7 @@
-"""The 11 MIT Push objects, rebuilt from their published dimensions (Yu et al. 2016; screw holes
-dropped).
+"""The 11 MIT Push objects (Yu et al. 2016) from their published dimensions, without screw holes.
 
-Outlines are in millimetres in the plan view seen from above: x as in the original meshes, y = minus
-the original z (the originals lie with their thickness along y; a quarter turn about x stands them z
-up). Steel plates are 12.7 mm thick; here the height is free.
+Outlines are in millimetres, seen from above: x is that of the original meshes, y their negated z,
+as their thickness lies along y. The steel plates are 12.7 mm thick; here the height is free.
 """
 
 from itertools import pairwise
@@ -47,9 +45,7 @@ def _ellipse(semi_x: float, semi_y: float) -> Floats:
 
 
 def _butterfly() -> Floats:
-    """The waisted outline: a periodic cubic spline through 10 points a quadrant, mirrored four
-    times.
-    """
+    """The waisted outline: a periodic cubic spline through 10 points of each quadrant."""
     quadrant = np.array(BUTTER_QUADRANT_MM)
     half = np.concatenate([quadrant, (quadrant * [-1, 1])[-2::-1]])
     knots = np.concatenate([half, (half * [1, -1])[-2::-1]])

@@ -1,6 +1,4 @@
-"""The procedural categories: cameras, mugs, bowls and beds, from a seed; each knows its exact
-convex parts.
-"""
+"""The procedural categories, cameras, mugs, bowls and beds, with exact convex parts."""
 
 from collections.abc import Callable
 
@@ -20,7 +18,5 @@ GENERATORS: dict[str, Callable[[np.random.Generator, int], Shape]] = {
 
 
 def generate(category: str, style: int, rng: np.random.Generator) -> Shape:
-    """A mesh of a category in centimetres, z up; ``style`` counts through its designs, ``rng``
-    varies proportions.
-    """
+    """A mesh in centimetres, z up; ``style`` selects a design, ``rng`` varies its proportions."""
     return GENERATORS[category](rng, style)

@@ -12,9 +12,7 @@ NUM_SECTIONS, NUM_BANDS, NUM_SECTORS, NUM_LEVELS = 48, 2, 12, 13
 
 @dataclass(frozen=True)
 class Cup:
-    """Proportions of a mug: radii at the foot, the belly (middle) and the lip; ``handle`` names its
-    curve.
-    """
+    """Proportions of a mug: radii at foot, middle and lip, height, and the handle's curve."""
 
     foot: float
     belly: float
@@ -39,38 +37,36 @@ def mug(rng: np.random.Generator, style: int) -> Shape:
     height = cup.height * rng.uniform(0.94, 1.06)
     wall, floor = rng.uniform(0.32, 0.42), rng.uniform(0.5, 0.7)
     radii = np.array([cup.foot, cup.belly, cup.lip]) * rng.uniform(0.97, 1.03, 3)
-    z_J = np.linspace(0, height, NUM_LEVELS)
-    inner_z_J = np.linspace(floor, height, NUM_LEVELS)
-    outer_J2 = np.stack([_radius(radii, z_J / height), z_J], 1)
-    inner_J2 = np.stack([_radius(radii, inner_z_J / height) - wall, inner_z_J], 1)
-    body = vessel(outer_J2, inner_J2, superellipse(NUM_SECTIONS, 2.0, 1.0), NUM_BANDS, NUM_SECTORS)
+    z_R = np.linspace(0, height, NUM_LEVELS)
+    inner_z_R = np.linspace(floor, height, NUM_LEVELS)
+    outer_R2 = np.stack([_radius(radii, z_R / height), z_R], 1)
+    inner_R2 = np.stack([_radius(radii, inner_z_R / height) - wall, inner_z_R], 1)
+    body = vessel(outer_R2, inner_R2, superellipse(NUM_SECTIONS, 2.0, 1.0), NUM_BANDS, NUM_SECTORS)
     width = rng.uniform(0.5, 0.7)
-    path_M3 = _handle(cup.handle, radii - wall / 2, height, rng.uniform(2.2, 2.8))
-    return join(body, tube(path_M3, width, 0.6 * width, 12, 6))
+    path_P3 = _handle(cup.handle, radii - wall / 2, height, rng.uniform(2.2, 2.8))
+    return join(body, tube(path_P3, width, 0.6 * width, 12, 6))
 
 
-def _radius(radii_3: Floats, level_J: Floats) -> Floats:
+def _radius(radii_3: Floats, level_R: Floats) -> Floats:
     """The parabola through foot, belly and lip at levels 0, 1/2 and 1."""
-    return np.asarray(np.polyval(np.polyfit([0.0, 0.5, 1.0], radii_3, 2), level_J))
+    return np.asarray(np.polyval(np.polyfit([0.0, 0.5, 1.0], radii_3, 2), level_R))
 
 
 def _handle(kind: str, radii_3: Floats, height: float, reach: float) -> Floats:
-    """The handle's centre line (M, 3), from inside the wall above to inside the wall below."""
+    """The handle's centre line P3, from inside the wall above to inside the wall below."""
     exponent, droop = {"round": (2.0, 0.0), "square": (4.5, 0.0), "ear": (2.4, 0.28)}[kind]
-    angle_M = np.linspace(np.pi / 2, -np.pi / 2, 25)
-    along_M, up_M = np.cos(angle_M), np.sin(angle_M)
-    stretch_M = (np.abs(along_M) ** exponent + np.abs(up_M) ** exponent) ** (-1 / exponent)
-    level_M = 0.53 + 0.31 * up_M * stretch_M
-    out_M = along_M * stretch_M * reach * (1 + droop * up_M)
-    x_M = _radius(radii_3, level_M) + out_M
-    return np.stack([x_M, np.zeros_like(x_M), level_M * height], 1)
+    angle_P = np.linspace(np.pi / 2, -np.pi / 2, 25)
+    along_P, up_P = np.cos(angle_P), np.sin(angle_P)
+    stretch_P = (np.abs(along_P) ** exponent + np.abs(up_P) ** exponent) ** (-1 / exponent)
+    level_P = 0.53 + 0.31 * up_P * stretch_P
+    out_P = along_P * stretch_P * reach * (1 + droop * up_P)
+    x_P = _radius(radii_3, level_P) + out_P
+    return np.stack([x_P, np.zeros_like(x_P), level_P * height], 1)
 
 
 @dataclass(frozen=True)
 class Dish:
-    """Proportions of a bowl: depth over lip radius, curve of the wall, outline and optional
-    grips.
-    """
+    """Proportions of a bowl: depth over lip radius, foot, wall, outline and optional grips."""
 
     depth: float
     foot: float
@@ -96,12 +92,11 @@ def bowl(rng: np.random.Generator, style: int) -> Shape:
     lip, depth = 6.0, 6.0 * dish.depth * rng.uniform(0.92, 1.08)
     base = lip * dish.foot * rng.uniform(0.92, 1.08)
     wall, curve = rng.uniform(0.38, 0.48), dish.curve * rng.uniform(0.95, 1.05)
-    outline_S2 = superellipse(NUM_SECTIONS, dish.exponent, dish.aspect)
-    outer_J2 = _wall(base, lip, depth, curve)
-    inner_J2 = _wall(base - 0.4 * wall, lip - wall, depth - 1.3 * wall, curve) + np.array(
-        [0.0, 1.3 * wall]
-    )
-    body = vessel(outer_J2, inner_J2, outline_S2, NUM_BANDS, NUM_SECTORS).moved((0, 0, 0.45))
+    outline_D2 = superellipse(NUM_SECTIONS, dish.exponent, dish.aspect)
+    outer_R2 = _wall(base, lip, depth, curve)
+    inner_R2 = _wall(base - 0.4 * wall, lip - wall, depth - 1.3 * wall, curve)
+    inner_R2 = inner_R2 + np.array([0.0, 1.3 * wall])
+    body = vessel(outer_R2, inner_R2, outline_D2, NUM_BANDS, NUM_SECTORS).moved((0, 0, 0.45))
     foot = frustum(0.94 * base, 0.9 * base, 0.6, NUM_SECTIONS)
     stretch = np.diag([1.0, dish.aspect, 1.0, 1.0])
     shapes = [body, foot.mapped(stretch)]
@@ -111,19 +106,17 @@ def bowl(rng: np.random.Generator, style: int) -> Shape:
 
 
 def _wall(low: float, high: float, depth: float, curve: float) -> Floats:
-    """(radius, z) from the bottom's edge to the lip; ``curve`` above 1 makes the wall steepen
-    upwards.
-    """
-    t_J = np.linspace(0, 1, NUM_LEVELS)
-    return np.stack([low + (high - low) * (1 - (1 - t_J) ** curve), depth * t_J**1.25], 1)
+    """(radius, z) from foot to lip; with ``curve`` above 1 the wall steepens upwards."""
+    t_R = np.linspace(0, 1, NUM_LEVELS)
+    return np.stack([low + (high - low) * (1 - (1 - t_R) ** curve), depth * t_R**1.25], 1)
 
 
 def _grips(radius: float, z: float) -> list[Shape]:
     """Two loops beside the lip, at +x and -x, flat in a horizontal plane."""
-    angle_M = np.linspace(np.pi / 2, -np.pi / 2, 17)
-    path_M3 = np.stack(
-        [radius - 0.25 + 1.7 * np.cos(angle_M), np.zeros(17), 1.9 * np.sin(angle_M)], 1
+    angle_P = np.linspace(np.pi / 2, -np.pi / 2, 17)
+    path_P3 = np.stack(
+        [radius - 0.25 + 1.7 * np.cos(angle_P), np.zeros(17), 1.9 * np.sin(angle_P)], 1
     )
     lying = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, z], [0, 0, 0, 1]])
-    grip = tube(path_M3, 0.35, 0.4, 12, 6).mapped(lying)
+    grip = tube(path_P3, 0.35, 0.4, 12, 6).mapped(lying)
     return [grip, grip.mapped(np.diag([-1.0, -1.0, 1.0, 1.0]))]
