@@ -89,10 +89,8 @@ def detection_rows(
         row["score"] = float(scores[i])
         if i in quality:
             row |= dict(zip(SHAPE_METRICS, map(float, quality[i]), strict=True))
-            (center, size), (true_center, true_size) = (
-                np.split(box, 2) for box in (box_N6[i], true_N6[true_i])
-            )
-            row["iou"] = float(iou(center, size, true_center, true_size))
+            center, true_center = box_N6[i, :3], true_N6[true_i, :3]
+            row["iou"] = float(iou(center, box_N6[i, 3:], true_center, true_N6[true_i, 3:]))
             row["centre_mm"] = float(np.linalg.norm(center - true_center) * 1e3)
         rows.append(row)
     missed = [i for i in range(len(true_N6)) if i not in gt_N]

@@ -110,11 +110,10 @@ class ObjectStore:
             self.tensors["observation_O"],
             torch.tensor([observation_i, observation_i + 1], dtype=torch.int32),
         ).tolist()
-        part = {name: self.tensors[name.replace("_N", "_O")][start:stop] for name in FIELD_DTYPES}
-        part = {
-            name: value.float() if value.is_floating_point() else value
-            for name, value in part.items()
-        }
+        part = {}
+        for name in FIELD_DTYPES:
+            value = self.tensors[name.replace("_N", "_O")][start:stop]
+            part[name] = value.float() if value.is_floating_point() else value
         valid_N = torch.ones(stop - start, dtype=torch.bool)
         return Objects(valid_N=valid_N, **part), self.tensors["gt_O"][start:stop].long()
 

@@ -5,7 +5,7 @@ differ in nothing else.
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,26 +30,27 @@ from oes.perception.surface import support_points
 from oes.progress import resumable_map
 from oes.training.tensor_io import read_tensors, write_tensors
 
-FIXED, GT, JITTERED, PREDICTED = "fixed", "gt", "jittered", "predicted"
+GT, JITTERED, PREDICTED = "gt", "jittered", "predicted"
+FIXED_CAMERA = 0  # in place of a number of random views
 SCORED_VIEWS = (1, 3)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Number of random views (``FIXED``: the fixed camera) and kind of boxes."""
+    """Number of random views (or ``FIXED_CAMERA``) and kind of boxes."""
 
-    views: int | str
+    views: int
     boxes: str
 
 
 TRAIN_SETTINGS = {f"train{count}": Setting(count, JITTERED) for count in (1, 2, 3)} | {
-    "fixed": Setting(FIXED, JITTERED)
+    "fixed": Setting(FIXED_CAMERA, JITTERED)
 }
 TEST_SETTINGS = {
     "3views_gt": Setting(3, GT),
     "1view_gt": Setting(1, GT),
     "1view_pred": Setting(1, PREDICTED),
-    "fixed_pred": Setting(FIXED, PREDICTED),
+    "fixed_pred": Setting(FIXED_CAMERA, PREDICTED),
     "2views_pred": Setting(2, PREDICTED),
     "3views_pred": Setting(3, PREDICTED),
     "5views_pred": Setting(5, PREDICTED),
@@ -79,11 +80,9 @@ class ObjectsConfig:
 
     def __post_init__(self) -> None:
         """Raises ValueError for an unknown or missing setting."""
-        if set(self.train_observations) != set(TRAIN_SETTINGS):
-            raise ValueError(
-                f"train_observations: expected exactly {', '.join(TRAIN_SETTINGS)}; "
-                f"found {dict(self.train_observations)}"
-            )
+        if set(counts := self.train_observations) != set(TRAIN_SETTINGS):
+            valid = ", ".join(TRAIN_SETTINGS)
+            raise ValueError(f"train_observations: expected exactly {valid}; found {dict(counts)}")
         for task, splits in self.test_settings.items():
             for split, names in splits.items():
                 if unknown := set(names) - set(TEST_SETTINGS):
@@ -156,30 +155,25 @@ class ScenePerceiver:
         com_N3[matched] = torch.from_numpy(com).float()
         return radius_NRD, com_N3 - objects.center_N3
 
-    def _view_sets(self, order: Sequence[int]) -> Iterator[tuple[list[int], list[str]]]:
+    def _view_sets(self, order: list[int]) -> Iterator[tuple[list[int], list[str]]]:
         """Sets of views to encode, each with the settings that use it.
 
         The last camera of ``order`` is in no random set: its view is predicted.
         """
         if self.solids is None:
-            left = list(order)
+            left = order
             for name, count in self.cfg.train_observations.items():
                 for _ in range(count):
-                    views = self._views(self.settings[name], left)
+                    views = left[: self.settings[name].views] or [self.cfg.fixed_camera]
                     # Used cameras go to the end, so that sets share as few as possible.
                     left = [*left[len(views) :], *views]
                     yield views, [name]
             return
-        shared: dict[int | str, list[str]] = {}
+        shared: dict[int, list[str]] = {}
         for name, setting in self.settings.items():
             shared.setdefault(setting.views, []).append(name)
-        for names in shared.values():
-            yield self._views(self.settings[names[0]], order), names
-
-    def _views(self, setting: Setting, order: Sequence[int]) -> list[int]:
-        if isinstance(setting.views, str):
-            return [self.cfg.fixed_camera]
-        return list(order[: setting.views])
+        for count, names in shared.items():
+            yield order[:count] or [self.cfg.fixed_camera], names
 
     def _boxes(
         self, kind: str, scene: SceneFeatures, episode_i: int, rng: np.random.Generator
@@ -225,7 +219,6 @@ def _write_shard(scenes: ScenePerceiver, episode_is: range, path: Path) -> None:
     found = [scenes.perceive(episode_i) for episode_i in episode_is]
     observations = [each for parts in found for each in parts[0]]
     rows = [[row for parts in found for row in parts[kind]] for kind in (1, 2)]
-    counts = [setting.views for setting in scenes.settings.values()]
-    num_views = max(count for count in counts if isinstance(count, int))
+    num_views = max(setting.views for setting in scenes.settings.values())
     tensors = pack(observations, list(scenes.settings), num_views)
     write_tensors(tensors, path, {"format": OBJECTS_FORMAT, "rows": json.dumps(rows)})

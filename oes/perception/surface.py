@@ -55,9 +55,9 @@ class Cylinder:
 class SurfaceHeadConfig:
     """The grid and the widths of the network.
 
-    ``channels``: of the convolutions over directions and radii, each followed by a halving of the
-    radii. ``width``: of the circular blocks. ``direction_features``: of the linear layer that reads
-    all radii and layers of one direction at once.
+    ``channels``: of the convolutions over directions and radii, which halve the radii each.
+    ``width``: channels of the circular blocks. ``direction_features``: of the linear layer over all
+    radii and layers of one direction.
     """
 
     cylinder: Cylinder

@@ -5,6 +5,7 @@ The features are computed once, before many passes over them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -158,10 +159,7 @@ def train_surface(
         batch = rotate_batch(train.pick(chosen_P), turn_i // 2, turn_i % 2 == 1)
         return batch.to(device)
 
-    def validate(net: nn.Module) -> dict[str, float]:
-        return surface_metrics(net, validation)
-
-    weights = dict.fromkeys(TERMS, 1.0)
+    weights, validate = dict.fromkeys(TERMS, 1.0), partial(surface_metrics, batch=validation)
     with torch.enable_grad():
         rows = fit(head, batch_at, surface_losses, weights, cfg.fit, work, device, validate)
     head.requires_grad_(True)
