@@ -22,7 +22,7 @@ from oes.perception.objects_file import (
 )
 from oes.perception.observations import TEST_SETTINGS, ObjectsConfig, ScenePerceiver, perceive_split
 from oes.perception.perceiver import Perceiver
-from tests.percept_scenes import BoxWorld, box_gt_profiles, box_solids, small_network
+from tests.perception_scenes import BoxWorld, box_gt_profiles, box_solids, small_network
 
 CFG = ObjectsConfig(
     seed=0,

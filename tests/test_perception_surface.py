@@ -27,7 +27,7 @@ from oes.perception.surface_training import (
     train_surface,
 )
 from oes.training.checkpoint import TrainConfig
-from tests.percept_scenes import (
+from tests.perception_scenes import (
     CYLINDER,
     SIZES,
     BoxWorld,

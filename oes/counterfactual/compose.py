@@ -14,7 +14,7 @@ from oes.geom.voxels import Grid, centers, sample
 from oes.objects import Objects
 from oes.perception.network import SceneFeatures
 from oes.perception.perceiver import Perceiver
-from oes.perception.rays import CLEAR_LOGIT, Field
+from oes.perception.rays import DENSITY_SHIFT, Field
 
 TABLE_Z_M = 0.0  # voxels below belong to no object
 
@@ -124,5 +124,5 @@ def _origins(scene: DecomposedScene, poses: PoseTable, points_P3: Tensor) -> Ten
 
 def visible_features(near: Field) -> Tensor:
     """Opacity over one voxel's length, and features times opacity: CXYZ."""
-    opacity = 1 - torch.exp(-F.softplus(near.volume_BCXYZ[0, :1] - CLEAR_LOGIT))
+    opacity = 1 - torch.exp(-F.softplus(near.volume_BCXYZ[0, :1] - DENSITY_SHIFT))
     return torch.cat([opacity, opacity * near.volume_BCXYZ[0, 1:]])

@@ -1,9 +1,4 @@
-"""Building blocks of the 3D networks: channels-last volumes, per-voxel normalisation, residual
-blocks, a U-Net.
-
-Normalisation is over the channels of each voxel: independent of batch size (paper profile: batch 2
-to 8) and, on a CPU in bfloat16, three times faster than GroupNorm.
-"""
+"""Building blocks of the 3D networks: layer normalization, residual blocks, a U-Net."""
 
 from itertools import pairwise
 
@@ -12,12 +7,15 @@ from torch import Tensor, nn
 
 
 class Norm(nn.LayerNorm):
-    """LayerNorm over the channels of a volume BCXYZ (free of copies when the memory is
-    channels-last).
+    """LayerNorm over the channels of each voxel of a volume BCXYZ.
+
+    It does not depend on the batch size (2 to 8, by profile) and is three times faster than
+    GroupNorm on a CPU in bfloat16.
     """
 
     def forward(self, volume_BCXYZ: Tensor) -> Tensor:
         """Volume of the same shape."""
+        # Views, not copies, where the memory format is channels-last.
         return super().forward(volume_BCXYZ.movedim(1, -1)).movedim(-1, 1)
 
 
@@ -27,16 +25,13 @@ def conv3(inputs: int, outputs: int) -> nn.Conv3d:
 
 
 class Residual(nn.Module):
-    """relu(norm(x + conv(relu(norm(conv(x)))))); the second convolution starts at zero."""
+    """relu(norm(x + conv(relu(norm(conv(x))))))."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.first, self.norm, self.second = (
-            conv3(channels, channels),
-            Norm(channels),
-            conv3(channels, channels),
-        )
-        self.out_norm = Norm(channels)
+        self.first, self.norm = conv3(channels, channels), Norm(channels)
+        self.second, self.out_norm = conv3(channels, channels), Norm(channels)
+        # Every block starts as the identity, so that deep networks train from the first step.
         nn.init.zeros_(self.second.weight)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -52,32 +47,27 @@ class Stem(nn.Sequential):
 
 
 class UNet(nn.Module):
-    """Residual blocks at every level, halved by strided and doubled by transposed convolutions,
-    additive skips.
+    """Encoder-decoder of residual blocks with strided convolutions and additive skips.
 
-    ``channels[i]`` and ``blocks[i]`` describe level i (0 is the input's resolution); the deepest
-    level runs once.
+    ``channels[i]`` and ``blocks[i]`` describe level i; level 0 has the resolution of the input.
     """
 
     def __init__(self, inputs: int, channels: tuple[int, ...], blocks: tuple[int, ...]) -> None:
         super().__init__()
-        pairs = list(pairwise(channels))
+
+        def levels(last: int | None) -> nn.ModuleList:
+            pairs = zip(channels[:last], blocks[:last], strict=True)
+            return nn.ModuleList(nn.Sequential(*(Residual(c) for _ in range(n))) for c, n in pairs)
+
         self.stem = Stem(inputs, channels[0])
-        self.downs = nn.ModuleList(nn.Conv3d(fine, coarse, 2, stride=2) for fine, coarse in pairs)
-        self.ups = nn.ModuleList(
-            nn.ConvTranspose3d(coarse, fine, 2, stride=2) for fine, coarse in pairs
-        )
-        self.before = nn.ModuleList(
-            _level(width, count) for width, count in zip(channels, blocks, strict=True)
-        )
-        self.after = nn.ModuleList(
-            _level(width, count) for width, count in zip(channels[:-1], blocks[:-1], strict=True)
-        )
+        pairs = list(pairwise(channels))
+        self.downs = nn.ModuleList(nn.Conv3d(a, b, 2, stride=2) for a, b in pairs)
+        self.ups = nn.ModuleList(nn.ConvTranspose3d(b, a, 2, stride=2) for a, b in pairs)
+        self.before = levels(None)
+        self.after = levels(-1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Features of the input's resolution with ``channels[0]`` channels; every axis divisible by
-        2^(levels - 1).
-        """
+        """Features with ``channels[0]`` channels; every axis is divisible by 2^(levels - 1)."""
         skips = []
         x = self.stem(x)
         for level, down in zip(self.before, self.downs, strict=False):
@@ -87,7 +77,3 @@ class UNet(nn.Module):
         for up, level in zip(reversed(self.ups), reversed(self.after), strict=True):
             x = level(up(x) + skips.pop())
         return x
-
-
-def _level(channels: int, count: int) -> nn.Sequential:
-    return nn.Sequential(*(Residual(channels) for _ in range(count)))

@@ -1,6 +1,4 @@
-"""The dense detector: an objectness and one box (paper C.1, one anchor) at every coarse voxel;
-targets and losses.
-"""
+"""Dense detector: an objectness and one box per coarse voxel (paper C.1, one anchor)."""
 
 import torch
 import torch.nn.functional as F
@@ -11,16 +9,16 @@ from oes.geom.boxes import iou
 from oes.perception.blocks import Stem
 
 BOX_CHANNELS = 6
-RARE_LOGIT = 4.0
+PRIOR_LOGIT = 4.0  # negative logit of the prior: objects fill few voxels (RetinaNet, section 4.1)
+MIN_TARGET = 0.3  # of the heatmap, for a voxel to be trained to predict the box
 
 
 @params
 class DetectorConfig:
-    """``anchor_m``: unit of offsets and sizes. ``sigma_m``: width of the Gaussian target around an
-    object's centre.
+    """``anchor_m``: unit of offsets and sizes. ``sigma_m``: of the Gaussian heatmap target.
 
-    ``num_peaks`` proposals a scene go to the second stage; what it scores under ``min_score`` is
-    dropped, and of two boxes that overlap by more than ``max_iou`` only the better one is kept.
+    ``num_peaks`` proposals of a scene go to the second stage. Final boxes have a score of at least
+    ``min_score`` and overlap by at most ``max_iou``.
     """
 
     channels: int
@@ -32,52 +30,43 @@ class DetectorConfig:
 
 
 class DetectorHead(nn.Module):
-    """Coarse features BCXYZ to objectness logits BXYZ and box deltas B6XYZ (offset and log size, in
-    anchors).
-    """
+    """Coarse features BCXYZ to objectness logits BXYZ and box deltas B6XYZ."""
 
     def __init__(self, inputs: int, cfg: DetectorConfig) -> None:
         super().__init__()
         self.cfg = cfg
-        self.layers = nn.Sequential(
-            Stem(inputs, cfg.channels), nn.Conv3d(cfg.channels, 1 + BOX_CHANNELS, 1)
-        )
+        stem = Stem(inputs, cfg.channels)
+        self.layers = nn.Sequential(stem, nn.Conv3d(cfg.channels, 1 + BOX_CHANNELS, 1))
 
     def forward(self, coarse_BCXYZ: Tensor) -> tuple[Tensor, Tensor]:
         """Logits and deltas in float32."""
         out = self.layers(coarse_BCXYZ).float()
-        return out[:, 0] - RARE_LOGIT, out[:, 1:]
+        return out[:, 0] - PRIOR_LOGIT, out[:, 1:]
 
 
 def apply_deltas(
     centers: Tensor, sizes: Tensor | float, deltas: Tensor, unit_m: float
 ) -> tuple[Tensor, Tensor]:
-    """Boxes ...3 moved by ``unit_m`` times the first three deltas and stretched by exp of the last
-    three.
-    """
+    """Boxes (centres ...3, sizes ...3) moved by deltas ...6: offset in ``unit_m``, log scale."""
+    # The clamp keeps an untrained network from boxes of infinite size.
     return centers + deltas[..., :3] * unit_m, sizes * deltas[..., 3:].clamp(-3, 3).exp()
 
 
 def box_deltas(
     centers: Tensor, sizes: Tensor | float, to_centers: Tensor, to_sizes: Tensor, unit_m: float
 ) -> Tensor:
-    """The deltas ...6 that ``apply_deltas`` needs to turn the first boxes into the second."""
-    return torch.cat(
-        [(to_centers - centers) / unit_m, (to_sizes / sizes).clamp(min=1e-3).log()], dim=-1
-    )
+    """Deltas ...6 with which ``apply_deltas`` turns the first boxes into the second."""
+    log_scale = (to_sizes / sizes).clamp(min=1e-3).log()
+    return torch.cat([(to_centers - centers) / unit_m, log_scale], dim=-1)
 
 
 def gaussian_heatmap(
     voxels_XYZ3: Tensor, centers_BN3: Tensor, valid_BN: Tensor, sigma_m: float
 ) -> tuple[Tensor, Tensor]:
-    """Gaussian closeness BXYZ of every voxel to the nearest object's centre (0 without objects),
-    and which object.
-    """
+    """Gaussian BXYZ around the nearest object's centre (0 without objects), and its index BXYZ."""
     offsets = voxels_XYZ3[None, None] - centers_BN3[:, :, None, None, None]
-    closeness = (-offsets.square().sum(-1) / (2 * sigma_m**2)).exp() * valid_BN[
-        ..., None, None, None
-    ]
-    nearest = closeness.max(dim=1)
+    gaussians = (-offsets.square().sum(-1) / (2 * sigma_m**2)).exp()
+    nearest = (gaussians * valid_BN[..., None, None, None]).max(dim=1)
     return nearest.values, nearest.indices
 
 
@@ -88,31 +77,24 @@ def detection_losses(
     voxels_XYZ3: Tensor,
     boxes: tuple[Tensor, Tensor, Tensor],
 ) -> dict[str, Tensor]:
-    """``objectness`` (focal, soft targets) and ``box`` (smooth L1 near centres), a mean over
-    objects.
+    """``objectness`` (focal, Gaussian targets) per object, and ``box`` (smooth L1 near centres).
 
-    ``boxes`` holds true centres BN3, sizes BN3 and which of them exist, BN.
+    ``boxes``: ground-truth centres BN3, sizes BN3 and ``valid_BN``.
     """
     centers_BN3, sizes_BN3, valid_BN = boxes
     target, owner = gaussian_heatmap(voxels_XYZ3, centers_BN3, valid_BN, cfg.sigma_m)
-    count = valid_BN.sum().clamp(min=1)
-    focal = (target - logits_BXYZ.sigmoid()).square()
+    # Quality focal loss (Li et al. 2020): nearly all voxels are easy negatives.
+    focal = (target - logits_BXYZ.sigmoid()).square().detach()
     bce = F.binary_cross_entropy_with_logits(logits_BXYZ, target, reduction="none")
-    batch_i, x, y, z = (target > 0.3).nonzero(as_tuple=True)
-    object_i = owner[batch_i, x, y, z]
-    wanted = box_deltas(
-        voxels_XYZ3[x, y, z],
-        cfg.anchor_m,
-        centers_BN3[batch_i, object_i],
-        sizes_BN3[batch_i, object_i],
-        cfg.anchor_m,
-    )
-    error = F.smooth_l1_loss(
-        deltas_B6XYZ[batch_i, :, x, y, z], wanted, beta=0.1, reduction="none"
-    ).sum(-1)
+    batch_i, x, y, z = (target > MIN_TARGET).nonzero(as_tuple=True)
+    i = batch_i, owner[batch_i, x, y, z]
+    voxels = voxels_XYZ3[x, y, z]
+    target_deltas = box_deltas(voxels, cfg.anchor_m, centers_BN3[i], sizes_BN3[i], cfg.anchor_m)
+    deltas = deltas_B6XYZ[batch_i, :, x, y, z]
+    error = F.smooth_l1_loss(deltas, target_deltas, beta=0.1, reduction="none").sum(-1)
     weight = target[batch_i, x, y, z]
     return {
-        "objectness": (focal.detach() * bce).sum() / count,
+        "objectness": (focal * bce).sum() / valid_BN.sum().clamp(min=1),
         "box": (error * weight).sum() / weight.sum().clamp(min=1e-6),
     }
 
@@ -120,29 +102,22 @@ def detection_losses(
 def top_peaks(
     cfg: DetectorConfig, logits_BXYZ: Tensor, deltas_B6XYZ: Tensor, voxels_XYZ3: Tensor, count: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The ``count`` best local maxima: centres BK3, sizes BK3 and scores BK, best first; score 0
-    past the last peak.
-    """
+    """The ``count`` best local maxima: centres BN3, sizes BN3, scores BN (0 past the last peak)."""
     scores = logits_BXYZ.sigmoid()
+    # Max-pooling stands for non-maximum suppression (CenterNet, Zhou et al. 2019).
     is_peak = F.max_pool3d(scores[:, None], 3, stride=1, padding=1)[:, 0] == scores
     best = (scores * is_peak).flatten(1).topk(count)
-    deltas = (
-        deltas_B6XYZ.flatten(2)
-        .gather(2, best.indices[:, None].expand(-1, BOX_CHANNELS, -1))
-        .transpose(1, 2)
-    )
-    centers, sizes = apply_deltas(
-        voxels_XYZ3.reshape(-1, 3)[best.indices], cfg.anchor_m, deltas, cfg.anchor_m
-    )
-    return centers, sizes, best.values
+    index = best.indices[:, None].expand(-1, BOX_CHANNELS, -1)
+    deltas = deltas_B6XYZ.flatten(2).gather(2, index).transpose(1, 2)
+    voxels = voxels_XYZ3.reshape(-1, 3)[best.indices]
+    return *apply_deltas(voxels, cfg.anchor_m, deltas, cfg.anchor_m), best.values
 
 
 def nms_3d(centers_N3: Tensor, sizes_N3: Tensor, scores_N: Tensor, max_iou: float) -> Tensor:
-    """Indices of the boxes kept by non-maximum suppression in 3D, best score first; empty in, empty
-    out.
-    """
+    """Indices of the boxes kept by greedy non-maximum suppression, best score first."""
     overlap = iou(centers_N3[:, None], sizes_N3[:, None], centers_N3[None], sizes_N3[None])
     kept: list[int] = []
+    # A stable order makes ties independent of the device.
     for candidate in scores_N.argsort(descending=True, stable=True).tolist():
         if all(overlap[candidate, better] <= max_iou for better in kept):
             kept.append(candidate)

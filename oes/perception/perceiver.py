@@ -14,7 +14,7 @@ from oes.episode import Camera, Frames
 from oes.geom.camera import project
 from oes.geom.voxels import centers, crop
 from oes.objects import Objects
-from oes.perception.lift import SIGNED, UNSEEN, Views, lift, views_of
+from oes.perception.lift import SIGNED_DISTANCE, UNOBSERVED, Views, lift, views_of
 from oes.perception.network import PerceptionNet, PerceptionNetConfig, SceneFeatures
 from oes.perception.rays import Field
 from oes.training.precision import half_precision
@@ -85,7 +85,7 @@ class Perceiver:
         """
         center_N3, size_N3 = (value.to(self.device) for value in boxes)
         with half_precision(self.device):
-            return self.net.regions(scene, (center_N3[None], size_N3[None])).mask_BKXYZ[0].sigmoid()
+            return self.net.regions(scene, (center_N3[None], size_N3[None])).mask_BNXYZ[0].sigmoid()
 
     @torch.inference_mode()
     def crops(self, scene: SceneFeatures, boxes: tuple[Tensor, Tensor]) -> Tensor:
@@ -105,7 +105,8 @@ class Perceiver:
         lifted_1QC = lift(
             self.net.cfg.lift, scene.views, scene.features_BVHWC[..., :1], points_1NQ3.flatten(1, 2)
         ).float()
-        depth_1Q2 = torch.stack([(1 - lifted_1QC[..., SIGNED]) / 2, lifted_1QC[..., UNSEEN]], -1)
+        behind_1Q = (1 - lifted_1QC[..., SIGNED_DISTANCE]) / 2
+        depth_1Q2 = torch.stack([behind_1Q, lifted_1QC[..., UNOBSERVED]], -1)
         depth_N2XYZ = depth_1Q2.reshape(-1, *window.shape, NUM_SURFACE).movedim(-1, 1)
         features_NCXYZ = crop(scene_map, self.net.cfg.grid, center_1N3, window)[0]
         dilated_N1XYZ = F.max_pool3d(mask_N1XYZ, 3, stride=1, padding=1)
@@ -123,7 +124,7 @@ class Perceiver:
         points_NQ3 = head.world_points(center_N3, size_N3)
         points_1Q3 = points_NQ3.reshape(1, -1, 3)
         lifted_1QC = lift(
-            net.cfg.lift, scene.views, scene.features_BVHWC, points_1Q3, between_pixels=True
+            net.cfg.lift, scene.views, scene.features_BVHWC, points_1Q3, interpolate_depth=True
         )
         lifted_NQC = lifted_1QC.reshape(*points_NQ3.shape[:2], -1)
         camera_NV3 = scene.views.world_T_cam_BV44[:, :, :3, 3].expand(len(center_N3), -1, -1)
@@ -178,7 +179,7 @@ class Perceiver:
         """Volumes to render one scene from: its map, and the background around it."""
         with half_precision(self.device):
             near = Field(self.net.scene_map(scene), self.net.cfg.grid)
-            return near, self.net.backdrop(scene.views, scene.features_BVHWC)
+            return near, self.net.background(scene.views, scene.features_BVHWC)
 
     @torch.inference_mode()
     def render_fields(self, near: Field, far: Field, cameras: Sequence[Camera]) -> Frames:

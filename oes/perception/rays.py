@@ -1,6 +1,4 @@
-"""Fields of density and features, and what rays through them show: volume rendering, without
-anything to train.
-"""
+"""Volume rendering of density and feature fields along rays, without trained parameters."""
 
 from dataclasses import dataclass
 
@@ -11,67 +9,70 @@ from torch import Tensor
 from oes.geom.se3 import transform
 from oes.geom.voxels import Grid, sample
 
-CLEAR_LOGIT = 3.0  # a density of so much less than nothing makes a voxel as good as clear
+DENSITY_SHIFT = 3.0  # softplus(0 - shift) is almost 0: a density logit of 0 is free space
 
 
 @dataclass(frozen=True)
 class Field:
-    """A volume BCXYZ on a grid; channel 0 is a density, the others are what it looks like."""
+    """A volume BCXYZ on a grid: channel 0 is a density logit, the others are appearance."""
 
     volume_BCXYZ: Tensor
     grid: Grid
 
     def repeated(self, count: int) -> "Field":
-        """One scene's field (B = 1) as that of so many scenes."""
+        """The field of one scene (B = 1), repeated along the batch."""
         return Field(self.volume_BCXYZ.expand(count, -1, -1, -1, -1), self.grid)
 
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays of one image a scene: world origin B3, unit directions BP3."""
+    """P rays of one camera for each scene: origin B3 and unit directions BP3, in the world."""
 
     origin_B3: Tensor
     direction_BP3: Tensor
 
 
-def march(
-    field: Field, rays: Rays, chord: tuple[Tensor, Tensor], count: int
+def sample_along_rays(
+    field: Field, rays: Rays, near_far: tuple[Tensor, Tensor], num_samples: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """``count`` samples between two distances BP of each ray: features BPSC, optical thickness BPS,
-    distance BPS.
+    """Uniform samples between two distances BP of each ray.
+
+    Returns features BPQC, optical thickness BPQ and distance BPQ.
     """
-    start, length = chord[0], chord[1] - chord[0]
-    steps = (torch.arange(count, device=start.device) + 0.5) / count
+    start, length = near_far[0], near_far[1] - near_far[0]
+    # Midpoints of equal intervals: the same samples in training and inference, without jitter.
+    steps = (torch.arange(num_samples, device=start.device) + 0.5) / num_samples
     distance = start[..., None] + length[..., None] * steps
     points = rays.origin_B3[:, None, None] + rays.direction_BP3[:, :, None] * distance[..., None]
-    values = sample(field.volume_BCXYZ, field.grid, points.flatten(1, 2)).reshape(
-        *distance.shape, -1
-    )
-    thickness = (
-        F.softplus(values[..., 0] - CLEAR_LOGIT) * (length / count / field.grid.voxel_m)[..., None]
-    )
+    values = sample(field.volume_BCXYZ, field.grid, points.flatten(1, 2))
+    values = values.reshape(*distance.shape, -1)
+    # Density is per voxel, not per metre, so that its logits do not depend on the voxel size.
+    interval_voxels = length / num_samples / field.grid.voxel_m
+    thickness = F.softplus(values[..., 0] - DENSITY_SHIFT) * interval_voxels[..., None]
     return values[..., 1:], thickness, distance
 
 
-def composite(
-    features_BPSC: Tensor, thickness_BPS: Tensor, distance_BPS: Tensor
+def alpha_composite(
+    features_BPQC: Tensor, thickness_BPQ: Tensor, distance_BPQ: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What is seen along each ray: features BPC, distance BP (both weighted by visibility) and
-    opacity BP.
+    """Features BPC and distance BP, weighted by visibility, and opacity BP of each ray.
+
+    Quadrature of the volume rendering integral (NeRF, Mildenhall et al. 2020, equation 3).
     """
-    passed = (
-        torch.cat([torch.zeros_like(thickness_BPS[..., :1]), thickness_BPS.cumsum(-1)], dim=-1)
-        .neg()
-        .exp()
-    )
-    weight = passed[..., :-1] - passed[..., 1:]
-    features = (weight[..., None] * features_BPSC).sum(-2)
-    return features, (weight * distance_BPS).sum(-1), 1 - passed[..., -1]
+    start = torch.zeros_like(thickness_BPQ[..., :1])
+    transmittance = torch.cat([start, thickness_BPQ.cumsum(-1)], dim=-1).neg().exp()
+    # Differences of transmittance are exact weights: they sum to the opacity by construction.
+    weight = transmittance[..., :-1] - transmittance[..., 1:]
+    features = (weight[..., None] * features_BPQC).sum(-2)
+    return features, (weight * distance_BPQ).sum(-1), 1 - transmittance[..., -1]
 
 
-def rays_of(K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int], stride_px: int) -> Rays:
-    """The rays through the centres of stride x stride pixel blocks, row by row; ``size`` counts the
-    blocks.
+def camera_rays(
+    K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int], stride_px: int
+) -> Rays:
+    """Rays through the centres of stride x stride pixel blocks, row by row.
+
+    ``size``: (rows, columns) of blocks.
     """
     rows, columns = (
         torch.arange(count, device=K_B33.device) * stride_px + stride_px / 2 for count in size
@@ -84,13 +85,13 @@ def rays_of(K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int], strid
 
 
 def ray_box_intersection(rays: Rays, grid: Grid) -> tuple[Tensor, Tensor]:
-    """Distances BP at which rays enter and leave the grid's box; equal (a chord of no length) where
-    they miss it.
-    """
+    """Distances BP at which rays enter and leave the grid's box; equal for a ray that misses it."""
     low = rays.origin_B3.new_tensor(grid.min_m)
     high = low + rays.origin_B3.new_tensor(grid.size_m)
+    # The slab method divides by the direction: components near 0 would give 0 / 0.
     safe = torch.where(rays.direction_BP3.abs() < 1e-6, 1e-6, rays.direction_BP3)
     first, second = (low - rays.origin_B3)[:, None] / safe, (high - rays.origin_B3)[:, None] / safe
+    # A camera inside the box starts at distance 0, not behind itself.
     near = torch.minimum(first, second).amax(-1).clamp(min=0)
     far = torch.maximum(first, second).amin(-1)
     return near, torch.maximum(near, far)

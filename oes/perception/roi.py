@@ -1,8 +1,6 @@
-"""The second stage: around each proposed box, the mask of the whole object, a better box, and a
-score.
+"""Second stage: the amodal mask, a refined box and a score for every proposed box.
 
-The views are lifted again at the proposal's own voxels (no resampling of a volume), beside the
-coarse scene features.
+The views are lifted again at the voxels of each region, which avoids resampling a volume.
 """
 
 from dataclasses import dataclass
@@ -22,7 +20,7 @@ HEIGHT_UNIT_M = 0.1
 
 @params
 class RoiConfig:
-    """A crop of ``count``^3 voxels of ``voxel_m``; the net works on 2x2x2 blocks of it."""
+    """A region has ``count``^3 voxels of ``voxel_m``; the network works on 2x2x2 blocks of it."""
 
     count: int
     voxel_m: float
@@ -33,17 +31,15 @@ class RoiConfig:
 
 @dataclass(frozen=True)
 class RoiOutput:
-    """For B scenes of K regions: mask logits BKXYZ, box deltas BK6 (see ``detector.apply_deltas``),
-    score logits BK.
-    """
+    """N regions of each of B scenes: mask and score logits, and deltas for ``apply_deltas``."""
 
-    mask_BKXYZ: Tensor
-    deltas_BK6: Tensor
-    score_BK: Tensor
+    mask_BNXYZ: Tensor
+    deltas_BN6: Tensor
+    score_BN: Tensor
 
 
 class RoiHead(nn.Module):
-    """Regions (centre, size) of lifted views and coarse features -> ``RoiOutput``."""
+    """Lifted views and coarse scene features in regions to ``RoiOutput``."""
 
     offsets: Tensor
 
@@ -51,11 +47,12 @@ class RoiHead(nn.Module):
         super().__init__()
         self.window, self.lift_cfg = cube(cfg.count, cfg.voxel_m), lift_cfg
         self.register_buffer("offsets", fold_order(centers(self.window)), persistent=False)
+        width = cfg.channels[0]
         self.net = UNet(8 * lifted + context + 2, cfg.channels, cfg.blocks)
-        self.mask = nn.Conv3d(cfg.channels[0], 8, 1)
-        self.shrink = nn.Conv3d(cfg.channels[0], cfg.channels[0], 2, stride=2)
+        self.mask = nn.Conv3d(width, 8, 1)
+        self.shrink = nn.Conv3d(width, width, 2, stride=2)
         self.box = nn.Sequential(
-            nn.Linear(cfg.channels[0] * (cfg.count // 4) ** 3, cfg.hidden),
+            nn.Linear(width * (cfg.count // 4) ** 3, cfg.hidden),
             nn.ReLU(),
             nn.Linear(cfg.hidden, BOX_CHANNELS + 1),
         )
@@ -64,46 +61,35 @@ class RoiHead(nn.Module):
         self,
         views: Views,
         features_BVHWC: Tensor,
-        coarse_BCXYZ: Tensor,
-        grid: Grid,
+        coarse: tuple[Tensor, Grid],
         boxes: tuple[Tensor, Tensor],
     ) -> RoiOutput:
-        """``grid`` is the one of ``coarse_BCXYZ``; ``boxes`` holds centres BK3 and sizes BK3 of the
-        regions.
-        """
+        """``coarse``: scene features BCXYZ and their grid. ``boxes``: centres BN3, sizes BN3."""
         batch, count = boxes[0].shape[:2]
-        x = self.net(self._inputs(views, features_BVHWC, coarse_BCXYZ, grid, boxes))
+        x = self.net(self._inputs(views, features_BVHWC, coarse, boxes))
         mask = unfold(self.mask(x)).float().reshape(batch, count, *self.window.shape)
         out = self.box(F.relu(self.shrink(x)).flatten(1)).float().reshape(batch, count, -1)
-        return RoiOutput(
-            mask_BKXYZ=mask, deltas_BK6=out[..., :BOX_CHANNELS], score_BK=out[..., BOX_CHANNELS]
-        )
+        return RoiOutput(mask, out[..., :BOX_CHANNELS], out[..., BOX_CHANNELS])
 
     def _inputs(
         self,
         views: Views,
         features_BVHWC: Tensor,
-        coarse_BCXYZ: Tensor,
-        grid: Grid,
+        coarse: tuple[Tensor, Grid],
         boxes: tuple[Tensor, Tensor],
     ) -> Tensor:
-        """(BK)CXYZ at half the window's resolution: folded lift, sampled context, inside-the-box
-        measure, height.
-        """
-        centers_BK3, sizes_BK3 = boxes
-        batch, count = centers_BK3.shape[:2]
-        side = self.offsets.shape[:3]
-        points = centers_BK3[:, :, None, None, None, None] + self.offsets
+        """(BN)CXYZ at half resolution: folded lift, context, position in the box, height."""
+        center, size = (value[:, :, None, None, None] for value in boxes)
+        batch, count = center.shape[:2]
+        points = center[..., None, :] + self.offsets
         lifted = lift(self.lift_cfg, views, features_BVHWC, points.reshape(batch, -1, 3))
-        middles = points.mean(dim=-2)
-        context = sample(coarse_BCXYZ.float(), grid, middles.reshape(batch, -1, 3))
-        inside = (
-            (middles - centers_BK3[:, :, None, None, None]).abs()
-            / sizes_BK3[:, :, None, None, None]
-        ).amax(-1)
-        extra = torch.stack([inside.clamp(max=1.0), middles[..., 2] / HEIGHT_UNIT_M], dim=-1)
+        blocks = points.mean(dim=-2)
+        context = sample(coarse[0].float(), coarse[1], blocks.reshape(batch, -1, 3))
+        # The proposed size enters only here: the window itself has a fixed scale.
+        in_box = ((blocks - center).abs() / size).amax(-1)
+        extra = torch.stack([in_box.clamp(max=1.0), blocks[..., 2] / HEIGHT_UNIT_M], dim=-1)
         parts = [
-            part.reshape(batch * count, *side, -1).to(lifted.dtype)
+            part.reshape(batch * count, *self.offsets.shape[:3], -1).to(lifted.dtype)
             for part in (lifted, context, extra)
         ]
         return torch.cat(parts, dim=-1).movedim(-1, 1)

@@ -139,7 +139,7 @@ def small_network() -> PerceptionNetConfig:
             stride_px=2,
             num_samples=16,
             channels=16,
-            backdrop=BackgroundConfig(
+            background=BackgroundConfig(
                 grid=Grid(min_m=(-0.8, -0.8, -0.3), shape=(16, 16, 12), voxel_m=0.1),
                 lift=LiftConfig(truncation_m=0.15),
                 channels=(8, 16),

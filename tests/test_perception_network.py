@@ -15,7 +15,7 @@ from oes.perception.losses import LOSS_TERMS, losses
 from oes.perception.network import PerceptionNet
 from oes.perception.perceiver import Perceiver, PerceptionFileError
 from oes.perception.samples import Sampler
-from tests.percept_scenes import GRID, BoxWorld, box_solids, sampling, small_network
+from tests.perception_scenes import GRID, BoxWorld, box_solids, sampling, small_network
 
 CPU = torch.device("cpu")
 
@@ -34,13 +34,13 @@ def test_a_batch_is_its_scenes_one_by_one() -> None:
     boxes = torch.tensor([[[0.0, 0.1, 0.03]], [[0.05, -0.1, 0.03]]]), torch.full((2, 1, 3), 0.1)
     with torch.no_grad():
         together = net.encode(both)
-        masks = net.regions(together, boxes).mask_BKXYZ
+        masks = net.regions(together, boxes).mask_BNXYZ
         for i, views in enumerate(scenes):
             alone = net.encode(views)
             torch.testing.assert_close(
                 together.coarse_BCXYZ[i : i + 1], alone.coarse_BCXYZ, atol=1e-3, rtol=1e-3
             )
-            mask = net.regions(alone, (boxes[0][i : i + 1], boxes[1][i : i + 1])).mask_BKXYZ
+            mask = net.regions(alone, (boxes[0][i : i + 1], boxes[1][i : i + 1])).mask_BNXYZ
             torch.testing.assert_close(masks[i : i + 1], mask, atol=1e-3, rtol=1e-3)
 
 

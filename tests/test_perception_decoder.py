@@ -7,8 +7,14 @@ import torch
 
 from oes.geom.se3 import inverse, transform
 from oes.geom.voxels import centers
-from oes.perception.rays import Field, composite, march, ray_box_intersection, rays_of
-from tests.percept_scenes import GRID, SIZES, TABLE, BoxWorld
+from oes.perception.rays import (
+    Field,
+    alpha_composite,
+    camera_rays,
+    ray_box_intersection,
+    sample_along_rays,
+)
+from tests.perception_scenes import GRID, SIZES, TABLE, BoxWorld
 
 
 def test_rays_stop_at_the_surfaces_that_the_camera_sees() -> None:
@@ -25,9 +31,11 @@ def test_rays_stop_at_the_surfaces_that_the_camera_sees() -> None:
         torch.from_numpy(camera.K_33).float()[None],
         torch.from_numpy(camera.world_T_cam_44).float()[None],
     )
-    rays = rays_of(K, pose, (64, 64), 1)
+    rays = camera_rays(K, pose, (64, 64), 1)
     field = Field(torch.cat([density, density], dim=1), GRID)
-    _, distance, opacity = composite(*march(field, rays, ray_box_intersection(rays, GRID), 128))
+    _, distance, opacity = alpha_composite(
+        *sample_along_rays(field, rays, ray_box_intersection(rays, GRID), 128)
+    )
     depth = (distance * (rays.direction_BP3[0] @ pose[0, :3, 2])).reshape(64, 64)
     seen = torch.from_numpy(frames.depth_m_VHW[0])
     both = (opacity.reshape(64, 64) > 0.99) & (seen > 0)
@@ -38,10 +46,10 @@ def test_rays_stop_at_the_surfaces_that_the_camera_sees() -> None:
 def test_what_stands_in_front_hides_what_stands_behind_and_nothing_lets_all_through() -> None:
     features = torch.tensor([1.0, 2.0, 3.0]).reshape(1, 1, 3, 1)
     distance = torch.tensor([0.5, 1.0, 1.5]).reshape(1, 1, 3)
-    seen, far, opacity = composite(
+    seen, far, opacity = alpha_composite(
         features, torch.tensor([0.0, 50.0, 50.0]).reshape(1, 1, 3), distance
     )
     torch.testing.assert_close(
         torch.stack([seen[0, 0, 0], far[0, 0], opacity[0, 0]]), torch.tensor([2.0, 1.0, 1.0])
     )
-    assert composite(features, torch.zeros(1, 1, 3), distance)[2].item() == 0
+    assert alpha_composite(features, torch.zeros(1, 1, 3), distance)[2].item() == 0

@@ -13,7 +13,7 @@ from oes.perception.detector import (
     top_peaks,
 )
 from oes.perception.evaluate import match_detections
-from tests.percept_scenes import GRID
+from tests.perception_scenes import GRID
 
 CFG = DetectorConfig(
     channels=8, anchor_m=0.12, sigma_m=0.02, num_peaks=4, min_score=0.3, max_iou=0.25

@@ -11,7 +11,7 @@ from oes.geom.se3 import transform
 from oes.geom.voxels import centers
 from oes.perception.lift import LiftConfig, Views, lift, views_of
 from oes.perception.samples import IDENTITY, Sampler, random_world_transform
-from tests.percept_scenes import GRID, BoxWorld, box_solids, sampling
+from tests.perception_scenes import GRID, BoxWorld, box_solids, sampling
 
 CFG = LiftConfig(truncation_m=0.03)
 
@@ -53,7 +53,8 @@ def test_between_pixels_a_flat_surface_is_where_it_is() -> None:
         np.column_stack([inner[:, :2], np.full(len(inner), center[2] + size[2] / 2)])
     ).float()[None]
     nearest, between = (
-        lift(CFG, views, views.rgb_BVHW3, top, between_pixels=flag)[..., 0].abs() * CFG.truncation_m
+        lift(CFG, views, views.rgb_BVHW3, top, interpolate_depth=flag)[..., 0].abs()
+        * CFG.truncation_m
         for flag in (False, True)
     )
     assert between.max() < 1e-5
@@ -70,7 +71,7 @@ def test_between_pixels_an_edge_stays_sharp() -> None:
     rays = torch.tensor([[middle + aside, 20.2, 1.0] for aside in (-1.1, -0.1, 0.1, 1.1)])
     points_cam = rays @ torch.linalg.inv(views.K_BV33[0, 0]).mT * 0.9
     points_world = transform(views.world_T_cam_BV44[:, 0], points_cam[None])
-    found = lift(CFG, edge, views.rgb_BVHW3, points_world, between_pixels=True)[0]
+    found = lift(CFG, edge, views.rgb_BVHW3, points_world, interpolate_depth=True)[0]
     assert found[:, 3].tolist() == [
         1,
         1,
