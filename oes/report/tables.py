@@ -1,6 +1,6 @@
 """Tables of all subjects, from the tidy frame of aggregates."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -23,8 +23,9 @@ from oes.report.names import (
 )
 from oes.report.table import Table, TableGroup
 
-Line = tuple[tuple[Any, ...], Mapping[Any, Row]]
-AT_T = tuple(f"T={T}" for T in HORIZONS)
+Line = Mapping[Any, Row]  # the rows of one printed line
+Cell = Callable[[Line], str]
+ERROR_INDEX = {"model": "model", "error": "metric"}
 
 ERROR_NOTE = (
     "Means with 95% intervals, bootstrapped over episodes. "
@@ -104,8 +105,7 @@ def all_groups(frame: pd.DataFrame) -> dict[str, TableGroup]:
         *(detector_group(frame, task) for task in TASKS),
         view_group(frame),
         image_forecast_group(frame),
-        futures_group(frame, "renders"),
-        futures_group(frame, "consistency"),
+        *futures_groups(frame),
         edits_group(frame),
         data_group(frame),
     ]
@@ -114,80 +114,50 @@ def all_groups(frame: pd.DataFrame) -> dict[str, TableGroup]:
 
 def forecast_groups(frame: pd.DataFrame, task: str) -> list[TableGroup]:
     """Errors by setting, by number of objects and of views, and ratios, of one task."""
-    spec = TASKS[task]
+    spec, groups = TASKS[task], []
     rows, ratios = (_block(frame, block, task) for block in ("forecast", "ratio"))
-    keys = [key for key in spec.settings if key in set(rows["group"])]
-    title = f"{spec.title}, {spec.scenes}"
-    main = [_error_table(_of(rows, group=key, objects="all"), SETTINGS[key]) for key in keys]
-    moved = [
-        _error_table(part, f"{SETTINGS[key]}, moved objects")
-        for key in keys
-        if len(part := _of(rows, group=key, objects="moved"))
-    ]
-    groups = [
-        _group(spec.table, title, main, rows, ERROR_NOTE),
-        _group(f"{spec.table}-moved", f"{title}: those that moved", moved, rows, ERROR_NOTE),
-    ]
-    for block, header in (("by_objects", "objects"), ("by_views", "input views")):
-        own = _block(frame, block, task)
-        name = block.replace("_", "-") + spec.suffix
-        title = f"Error by number of {header}, {task} (predicted boxes), T = {LAST}"
-        shown = _of(own, objects="all", T=LAST)
-        if len(shown):
-            groups.append(_group(name, title, [_number_table(shown, header)], own, ERROR_NOTE))
-    if len(ratios):
-        title = f"Error over the error of other models, {task}"
-        groups.append(
-            _group(f"ratios{spec.suffix}", title, [_ratio_table(ratios)], ratios, RATIO_NOTE)
-        )
-    return groups
+    for objects, ending, about in (("all", "", ""), ("moved", "-moved", ", moved objects")):
+        own = _of(rows, objects=objects)
+        tables = [
+            _error_table(part, SETTINGS[key] + about)
+            for key in spec.settings
+            if len(part := _of(own, group=key))
+        ]
+        title = f"{spec.title}, {spec.scenes}{about}"
+        groups.append(_group(spec.table + ending, title, tables, rows, ERROR_NOTE))
+    for block, name in (("by_objects", "objects"), ("by_views", "input views")):
+        shown = _of(own := _block(frame, block, task), objects="all", T=LAST)
+        numbers = sorted(set(shown["group"]), key=int)
+        columns = {number: _interval(number) for number in numbers}
+        caption = f"Mean error with {', '.join(numbers)} {name}"
+        table = _grid(caption, shown, ERROR_INDEX, "group", columns)
+        title = f"Error by number of {name}, {task} (predicted boxes), T = {LAST}"
+        file = block.replace("_", "-") + spec.suffix
+        groups.append(_group(file, title, [table], own, ERROR_NOTE))
+    index = {"model": "model", "over": "against", "input": "group", "error": "metric"}
+    table = _grid("Ratio of mean errors", ratios, index, "T", RATIOS_AT_T)
+    title = f"Error over the error of other models, {task}"
+    groups.append(_group(f"ratios{spec.suffix}", title, [table], ratios, RATIO_NOTE))
+    return [group for group in groups if len(group.rows)]
 
 
 def _error_table(rows: pd.DataFrame, caption: str) -> Table:
     counts = sorted({(row["n"], row["episodes"]) for row in records(rows)})
     about = " or ".join(f"{n} objects of {episodes} episodes" for n, episodes in counts)
-    cells = []
-    for (model, metric), by_T in _lines(rows, ("model", "metric"), "T"):
-        last = by_T.get(LAST)
-        shares = last and metric == next(iter(METRICS))
-        printed = [by_T[T]["paper"] for T in by_T if not pd.isna(by_T[T]["paper"])]
-        cells.append(
-            (
-                label(model),
-                METRICS[metric],
-                *(_interval(by_T.get(T)) for T in HORIZONS),
-                f"{last['median']:.1f}" if last else "",
-                f"{100 * last['diverged']:.1f}%" if last and shares else "",
-                " / ".join(f"{value:.1f}" for value in printed),
-            )
-        )
-    header = ("model", "error", *AT_T, f"median, T={LAST}", "diverged", "paper")
-    return _table(f"{caption} ({about})", header, cells)
 
+    def printed(by_T: Line) -> str:
+        values = [row["paper"] for row in by_T.values() if not pd.isna(row["paper"])]
+        return " / ".join(f"{value:.1f}" for value in values)
 
-def _number_table(rows: pd.DataFrame, header: str) -> Table:
-    numbers = sorted(set(rows["group"]), key=int)
-    cells = [
-        (label(model), METRICS[metric], *(_interval(by_group.get(number)) for number in numbers))
-        for (model, metric), by_group in _lines(rows, ("model", "metric"), "group")
-    ]
-    caption = f"Mean error with {header}: {', '.join(numbers)}"
-    return _table(caption, ("model", "error", *numbers), cells)
+    def diverged(by_T: Line) -> str:
+        row = by_T.get(LAST)
+        # The same under every metric, so it stands beside the first.
+        is_first = row and row["metric"] == next(iter(METRICS))
+        return f"{100 * row['diverged']:.1f}%" if row and is_first else ""
 
-
-def _ratio_table(rows: pd.DataFrame) -> Table:
-    cells = [
-        (
-            f"{label(model)} / {label(against)}",
-            SETTINGS[group],
-            METRICS[metric].split(" (")[0],
-            *(_interval(by_T.get(T), 2) for T in HORIZONS),
-        )
-        for (model, against, group, metric), by_T in _lines(
-            rows, ("model", "against", "group", "metric"), "T"
-        )
-    ]
-    return _table("Ratio of mean errors", ("models", "input", "error", *AT_T), cells)
+    columns = AT_T | {f"median, T={LAST}": _value(LAST, 1, "median")}
+    columns |= {"diverged": diverged, "paper": printed}
+    return _grid(f"{caption} ({about})", rows, ERROR_INDEX, "T", columns)
 
 
 def ablation_group(frame: pd.DataFrame) -> TableGroup:
@@ -196,70 +166,42 @@ def ablation_group(frame: pd.DataFrame) -> TableGroup:
     main = _of(_block(frame, "forecast", FIRST.name), group=VARIED, objects="all")
     both = main[main["model"].isin([OURS, CONTACT])] if len(variants) else main[:0]
     rows = pd.concat([both, variants], ignore_index=True)
-    ratios = {(row["model"], row["metric"]): row for row in records(rows) if row["against"]}
-    cells = [
-        (
-            label(model),
-            METRICS[metric],
-            *(_interval(by_T.get(T)) for T in HORIZONS),
-            _interval(ratios.get((model, metric)), 2),
-        )
-        for (model, metric), by_T in _lines(_of(rows, against=""), ("model", "metric"), "T")
-    ]
-    header = ("model", "error", *AT_T, f"over Contact, T={LAST}")
-    table = _table("Contact and its variants", header, cells)
+    columns = {name: _interval((T, "")) for T, name in zip(HORIZONS, AT_T, strict=True)}
+    columns[f"over Contact, T={LAST}"] = _interval((LAST, CONTACT), 2)
+    table = _grid("Contact and its variants", rows, ERROR_INDEX, ("T", "against"), columns)
     return _group("ablations", "Ablations of Contact, pushing", [table], rows, ABLATION_NOTE)
 
 
 def calibration_group(frame: pd.DataFrame) -> TableGroup:
     """Coverage and likelihood of error models."""
     rows = _block(frame, "calibration")
-    tables = []
-    for task in dict.fromkeys(rows["task"]):
-        cells = [
-            (
-                label(model),
-                SETTINGS[group],
-                str(T),
-                f"{by['sigma_mm']['mean']:.1f}",
-                f"{by['within_50']['mean']:.2f} / {by['within_90']['mean']:.2f}",
-                f"{by['nll']['mean']:.2f}",
-                f"{by['nll_homoscedastic']['mean']:.2f}",
-                str(by["nll"]["n"]),
-            )
-            for (model, group, T), by in _lines(
-                _of(rows, task=task), ("model", "group", "T"), "metric"
-            )
-        ]
-        header: tuple[str, ...] = (
-            "model",
-            "input",
-            "T",
-            "sigma (mm)",
-            "coverage of 50% / 90% intervals",
-        )
-        header += ("NLL", "NLL, homoscedastic", "n")
-        tables.append(_table(f"{str(task).capitalize()}, novel objects", header, cells))
+    columns = {
+        "sigma (mm)": _value("sigma_mm", 1),
+        "coverage of 50%": _value("within_50", 2),
+        "of 90%": _value("within_90", 2),
+        "NLL": _value("nll", 2),
+        "NLL, homoscedastic": _value("nll_homoscedastic", 2),
+        "n": _value("nll", 0, "n"),
+    }
+    index = {"input": "group", "T": "T"}
+    tables = [
+        _grid(f"{label(str(model))}, {task}, novel objects", part, index, "metric", columns)
+        for (task, model), part in rows.groupby(["task", "model"], sort=False)
+    ]
     return _group("calibration", "Calibration of uncertainty", tables, rows, CALIBRATION_NOTE)
 
 
 def plausibility_group(frame: pd.DataFrame) -> TableGroup:
     """Penetration, and motion of static objects, of all tasks."""
     rows = _block(frame, "plausibility")
-    cells = [
-        (
-            task,
-            label(model),
-            f"{by['penetration_mm']['mean']:.2f}",
-            f"{100 * by['deep_share']['mean']:.1f}%",
-            _number(by["still_mm"]["mean"], 1),
-            str(by["penetration_mm"]["n"]),
-            str(by["still_mm"]["n"]),
-        )
-        for (task, model), by in _lines(rows, ("task", "model"), "metric")
-    ]
-    header = ("task", "model", "penetration (mm)", "deep", "motion of static objects (mm)")
-    table = _table("Novel objects", (*header, "objects", "static objects"), cells)
+    columns = {
+        "penetration (mm)": _value("penetration_mm", 2),
+        "deep": lambda by: f"{100 * by['deep_share']['mean']:.1f}%",
+        "motion of static objects (mm)": _value("still_mm", 1),
+        "objects": _value("penetration_mm", 0, "n"),
+        "static objects": _value("still_mm", 0, "n"),
+    }
+    table = _grid("Novel objects", rows, {"task": "task", "model": "model"}, "metric", columns)
     title = "Physical plausibility of forecasts"
     return _group("plausibility", title, [table], rows, PLAUSIBILITY_NOTE)
 
@@ -267,35 +209,26 @@ def plausibility_group(frame: pd.DataFrame) -> TableGroup:
 def trial_group(frame: pd.DataFrame, scenario: str) -> TableGroup:
     """Success and distances of one scenario's trials."""
     rows = _of(_block(frame, "mpc"), group=scenario)
-    success, distance = [], []
-    for (planner, model), by in _lines(rows, ("planner", "model"), "metric"):
-        mean = {metric: row["mean"] for metric, row in by.items()}
-        success.append(
-            (
-                *(planner, label(model), str(by["success"]["n"])),
-                _interval(by["success"], 2),
-                _number(by["success"]["p_value"], 2, "g"),
-                *(f"{mean[name]:.2f}" for name in ("all_success", "collided")),
-                _number(by["success"]["paper"], 2),
-            )
-        )
-        distance.append(
-            (
-                *(planner, label(model), f"{mean['plans']:.0f} x {mean['horizon']:.0f}"),
-                *(f"{mean['initial_mm']:.0f}", f"{mean['final_mm']:.1f}"),
-                _number(by["final_mm"]["p_value"], 2, "g"),
-                *(f"{mean['pushes']:.1f}", f"{mean['did_not_run']:.0f}"),
-            )
-        )
-    head: tuple[str, ...] = ("planner", "model", "trials", "success [95%]", "p", "every object")
-    head += ("pushes", "did not run")
+    success = {
+        "trials": _value("success", 0, "n"),
+        "success [95%]": _interval("success", 2),
+        "p": _value("success", 2, "p_value", "g"),
+        "every object": _value("all_success", 2),
+        "collided with an obstacle": _value("collided", 2),
+        "paper (50 trials)": _value("success", 2, "paper"),
+    }
+    distance = {
+        "plans x pushes": lambda by: f"{by['plans']['mean']:.0f} x {by['horizon']['mean']:.0f}",
+        "distance at start (mm)": _value("initial_mm", 0),
+        "at end (mm)": _value("final_mm", 1),
+        "p": _value("final_mm", 2, "p_value", "g"),
+        "pushes": _value("pushes", 1),
+        "did not run": _value("did_not_run", 0),
+    }
+    index = {"planner": "planner", "model": "model"}
     tables = [
-        _table("Success", (*head[:6], "collided with an obstacle", "paper (50 trials)"), success),
-        _table(
-            "Plans and distances",
-            (*head[:2], "plans x pushes", "distance at start (mm)", "at end (mm)", "p", *head[-2:]),
-            distance,
-        ),
+        _grid("Success", rows, index, "metric", success),
+        _grid("Plans and distances", rows, index, "metric", distance),
     ]
     name = "table3" + scenario.removeprefix("targets").replace("obstacle", "-obstacle")
     title = f"Model predictive control: pushing {SCENARIOS.get(scenario, scenario)}"
@@ -305,135 +238,97 @@ def trial_group(frame: pd.DataFrame, scenario: str) -> TableGroup:
 def detector_group(frame: pd.DataFrame, task: str) -> TableGroup:
     """Detection of novel objects by number of input views."""
     rows = _block(frame, "detector", task)
-    columns = {"ap_25": 3, "ap_50": 3, "mask_iou": 3}
-    columns |= {"centre_mm": 1, "chamfer_mm": 1, "normal_deg": 1}
-    cells = [
-        (
-            key,
-            *(
-                _number(by[name]["mean"], digits) if name in by else ""
-                for name, digits in columns.items()
-            ),
-            f"{by['objects']['mean']:.0f} / {by['boxes']['mean']:.0f}",
-        )
-        for (key,), by in _lines(rows, ("group",), "metric")
-    ]
-    header: tuple[str, ...] = (
-        "input",
-        "AP at IoU 0.25",
-        "AP at IoU 0.5",
-        "mask IoU",
-        "centre error (mm)",
-    )
-    header += ("surface: Chamfer (mm)", "normals (deg)", "true objects / detections")
-    table = _table(f"{task.capitalize()}, novel objects", header, cells)
-    title = f"Detection in 3D, {task}"
-    return _group(f"detector{TASKS[task].suffix}", title, [table], rows)
+    columns = {
+        "AP at IoU 0.25": _value("ap_25", 3),
+        "AP at IoU 0.5": _value("ap_50", 3),
+        "mask IoU": _value("mask_iou", 3),
+        "centre error (mm)": _value("centre_mm", 1),
+        "surface: Chamfer (mm)": _value("chamfer_mm", 1),
+        "normals (deg)": _value("normal_deg", 1),
+        "objects / detections": lambda by: (
+            f"{by['objects']['mean']:.0f} / {by['boxes']['mean']:.0f}"
+        ),
+    }
+    table = _grid("Novel objects", rows, {"input": "group"}, "metric", columns)
+    return _group(f"detector{TASKS[task].suffix}", f"Detection in 3D, {task}", [table], rows)
 
 
 def view_group(frame: pd.DataFrame) -> TableGroup:
     """Prediction of images at other cameras."""
     rows = _block(frame, "view_prediction")
-    cells = [
-        (key, f"{by['psnr_db']['mean']:.2f}", f"{by['ssim']['mean']:.3f}", str(by["ssim"]["n"]))
-        for (key,), by in _lines(rows, ("group",), "metric")
-    ]
-    table = _table("Novel objects", ("input", "PSNR (dB)", "SSIM", "images"), cells)
+    columns = {"PSNR (dB)": _value("psnr_db", 2), "SSIM": _value("ssim", 3)}
+    columns["images"] = _value("ssim", 0, "n")
+    table = _grid("Novel objects", rows, {"input": "group"}, "metric", columns)
     return _group("view-prediction", "Prediction of unseen views", [table], rows)
 
 
 def image_forecast_group(frame: pd.DataFrame) -> TableGroup:
     """Accuracy of the baselines that forecast images."""
     rows = _block(frame, "image_forecast")
-    formats = {"psnr_db": 1, "ssim": 3, "error_mm": 1}
-    cells = [
-        (
-            *(label(model), str(T)),
-            *(
-                f"{by[name]['mean']:.{digits}f} "
-                f"({by['still_' + name.removeprefix('error_')]['mean']:.{digits}f})"
-                for name, digits in formats.items()
-            ),
-            str(by["ssim"]["n"]),
-        )
-        for (model, T), by in _lines(rows, ("model", "T"), "metric")
-    ]
-    header = ("model", "T", "PSNR (dB)", "SSIM", "error (mm)", "clips")
-    table = _table("Unseen episodes", header, cells)
-    title = "Baselines that forecast images"
-    return _group("image-forecasts", title, [table], rows, VIDEO_NOTE)
+
+    def beside_still(metric: str, still: str, digits: int) -> Cell:
+        return lambda by: f"{by[metric]['mean']:.{digits}f} ({by[still]['mean']:.{digits}f})"
+
+    columns = {
+        "PSNR (dB)": beside_still("psnr_db", "still_psnr_db", 1),
+        "SSIM": beside_still("ssim", "still_ssim", 3),
+        "error (mm)": beside_still("error_mm", "still_mm", 1),
+        "clips": _value("ssim", 0, "n"),
+    }
+    table = _grid("Unseen episodes", rows, {"model": "model", "T": "T"}, "metric", columns)
+    return _group("image-forecasts", "Baselines that forecast images", [table], rows, VIDEO_NOTE)
 
 
-def futures_group(frame: pd.DataFrame, block: str) -> TableGroup:
-    """Rendered futures (``renders``) or detection in them (``consistency``)."""
-    name, title, note, columns = {
-        "renders": (
-            "futures",
-            "Rendered futures as images and features",
-            RENDER_NOTE,
-            {
-                "psnr_db": ("PSNR (dB)", 1),
-                "objects_psnr_db": ("PSNR of objects (dB)", 1),
-                "ssim": ("SSIM", 3),
-                "feature_error": ("feature error", 2),
-            },
-        ),
-        "consistency": (
-            "consistency",
-            "Detection in rendered futures",
-            CONSISTENCY_NOTE,
-            {
-                "views_found": ("views that show it", 2),
-                "centre_mm": ("from where it was rendered (mm)", 1),
-                "spread_mm": ("between views (mm)", 1),
-            },
-        ),
-    }[block]
-    rows = _block(frame, block)
-    cells = []
-    for (task, source), by_metric in _nested(rows, ("task", "model"), "metric"):
-        shown = [
-            " / ".join(_number(row["mean"], digits) or "-" for row in by_metric[metric])
-            for metric, (_, digits) in columns.items()
-        ]
-        first = next(iter(by_metric.values()))[0]
-        cells.append((task, label(source), *shown, str(first["n"])))
-    header = ("task", "motion", *(text for text, _ in columns.values()), "n")
-    table = _table("T = 1 / 3 / 5", header, cells)
-    return _group(name, title, [table], rows, note)
+def futures_groups(frame: pd.DataFrame) -> list[TableGroup]:
+    """Rendered futures, and detection in them."""
+    rendered = {
+        "PSNR (dB)": _by_T("psnr_db", 1),
+        "PSNR of objects (dB)": _by_T("objects_psnr_db", 1),
+        "SSIM": _by_T("ssim", 3),
+        "feature error": _by_T("feature_error", 2),
+        "n": _value(("ssim", LAST), 0, "n"),
+    }
+    detected = {
+        "views that show it": _by_T("views_found", 2),
+        "from where it was rendered (mm)": _by_T("centre_mm", 1),
+        "between views (mm)": _by_T("spread_mm", 1),
+        "n": _value(("centre_mm", LAST), 0, "n"),
+    }
+    groups = []
+    for name, block, title, columns, note in (
+        ("futures", "renders", "Rendered futures as images and features", rendered, RENDER_NOTE),
+        ("consistency", "consistency", "Detection in rendered futures", detected, CONSISTENCY_NOTE),
+    ):
+        rows = _block(frame, block)
+        index = {"task": "task", "motion": "model"}
+        table = _grid("T = 1 / 3 / 5", rows, index, ("metric", "T"), columns)
+        groups.append(_group(name, title, [table], rows, note))
+    return groups
 
 
 def edits_group(frame: pd.DataFrame) -> TableGroup:
     """Forecasts of edited scenes."""
     rows = _block(frame, "edits")
     models = [name for name in ("static", BASELINE, OURS) if name in set(rows["model"])]
+    columns = {label(model): _interval(model) for model in models}
+    columns["objects"] = lambda by: str(next(iter(by.values()))["n"])
     tables = []
     for metric in ("translation_mm", "rotation_deg"):
-        shown = _of(rows, metric=metric, T=LAST)
-        cells = [
-            (
-                *(task, EDITS[kind]),
-                *(_interval(by.get(model)) for model in models),
-                str(next(iter(by.values()))["n"]),
-            )
-            for (task, kind), by in _lines(shown, ("task", "group"), "model")
-        ]
-        header = ("task", "edit", *map(label, models), "objects")
-        tables.append(_table(f"Error of {METRICS[metric]}", header, cells))
+        shown, caption = _of(rows, metric=metric, T=LAST), f"Error of {METRICS[metric]}"
+        tables.append(_grid(caption, shown, {"task": "task", "edit": "group"}, "model", columns))
     return _group("counterfactuals", "Forecasts of edited scenes", tables, rows, EDIT_NOTE)
 
 
 def data_group(frame: pd.DataFrame) -> TableGroup:
     """Size and motion of every split."""
-    rows = _block(frame, "capture")
-    cells = []
-    for (task, split), by_metric in _nested(rows, ("task", "group"), "metric"):
-        displacement = (f"{row['mean']:.1f}" for row in by_metric["displacement_mm"])
-        share = by_metric["share_object_contact"][0]
-        row = (task, split, str(share["episodes"]), " / ".join(displacement))
-        cells.append((*row, f"{share['mean']:.0%}"))
-    header = ("task", "split", "episodes", "displacement at T = 1 / 3 / 5 (mm)")
-    table = _table("All splits", (*header, "episodes with object contacts"), cells)
+    rows = _block(frame, "capture").assign(T=lambda found: found["T"].fillna(0))
+    share = ("share_object_contact", 0)
+    columns = {
+        "episodes": _value(share, 0, "episodes"),
+        "displacement at T = 1 / 3 / 5 (mm)": _by_T("displacement_mm", 1),
+        "episodes with object contacts": lambda by: f"{by[share]['mean']:.0%}",
+    }
+    table = _grid("All splits", rows, {"task": "task", "split": "group"}, ("metric", "T"), columns)
     return _group("data", "Episodes", [table], rows)
 
 
@@ -474,8 +369,59 @@ def _group(
     return TableGroup(name, title, tuple(tables), rows, (*notes, *more))
 
 
-def _table(caption: str, header: Sequence[str], cells: Iterable[Sequence[str]]) -> Table:
-    return Table(caption, tuple(header), tuple(map(tuple, cells)))
+def _grid(
+    caption: str,
+    rows: pd.DataFrame,
+    index: Mapping[str, str],
+    by: str | tuple[str, str],
+    columns: Mapping[str, Cell],
+) -> Table:
+    """A line for each value of the ``index`` columns; cells print the rows of a line, keyed ``by``
+    the remaining column or two.
+    """
+    lines: dict[tuple[Any, ...], dict[Any, Row]] = {}
+    for row in records(rows):
+        line = lines.setdefault(tuple(row[name] for name in index.values()), {})
+        line[row[by] if isinstance(by, str) else tuple(row[name] for name in by)] = row
+    cells = tuple(
+        (*map(_text, index.values(), key), *(cell(line) for cell in columns.values()))
+        for key, line in lines.items()
+    )
+    return Table(caption, (*index, *columns), cells)
+
+
+def _text(column: str, value: object) -> str:
+    if column in ("model", "against"):
+        return label(str(value))
+    return {**METRICS, **SETTINGS, **EDITS}.get(str(value), str(value))
+
+
+def _value(key: object, digits: int, field: str = "mean", kind: str = "f") -> Cell:
+    """Prints a number of the row under ``key``; empty where there is none."""
+    return lambda line: _number(line[key][field], digits, kind) if key in line else ""
+
+
+def _by_T(metric: str, digits: int) -> Cell:
+    """Prints the means of a metric at every T, of rows keyed by metric and T."""
+    return lambda line: " / ".join(
+        _number(row["mean"], digits) or "-" for key, row in line.items() if key[0] == metric
+    )
+
+
+def _interval(key: object, digits: int = 1) -> Cell:
+    """Prints the mean and the interval of the row under ``key``."""
+
+    def show(line: Line) -> str:
+        if key not in line:
+            return ""
+        mean, low, high = (f"{line[key][name]:.{digits}f}" for name in ("mean", "low", "high"))
+        return f"{mean} [{low}, {high}]"
+
+    return show
+
+
+def _number(value: float, digits: int, kind: str = "f") -> str:
+    return "" if pd.isna(value) else f"{value:.{digits}{kind}}"
 
 
 def _block(frame: pd.DataFrame, block: str, task: str | None = None) -> pd.DataFrame:
@@ -490,29 +436,5 @@ def _of(rows: pd.DataFrame, **equal: object) -> pd.DataFrame:
     return rows
 
 
-def _nested(rows: pd.DataFrame, index: Sequence[str], column: str) -> list[tuple[Any, Any]]:
-    """Rows by index and column, in order of appearance; a list of rows under each."""
-    found: dict[tuple[Any, ...], dict[Any, list[Row]]] = {}
-    for row in records(rows):
-        place = found.setdefault(tuple(row[name] for name in index), {})
-        place.setdefault(row[column], []).append(row)
-    return list(found.items())
-
-
-def _lines(rows: pd.DataFrame, index: Sequence[str], column: str) -> list[Line]:
-    """As ``_nested``, of indices that determine one row."""
-    return [
-        (key, {name: each[0] for name, each in by.items()})
-        for key, by in _nested(rows, index, column)
-    ]
-
-
-def _interval(row: Row | None, digits: int = 1) -> str:
-    if row is None:
-        return ""
-    mean, low, high = (f"{row[name]:.{digits}f}" for name in ("mean", "low", "high"))
-    return f"{mean} [{low}, {high}]"
-
-
-def _number(value: float, digits: int, kind: str = "f") -> str:
-    return "" if pd.isna(value) else f"{value:.{digits}{kind}}"
+AT_T = {f"T={T}": _interval(T) for T in HORIZONS}
+RATIOS_AT_T = {f"T={T}": _interval(T, 2) for T in HORIZONS}
