@@ -1,1 +1,1 @@
-"""What costs how much on this machine; `python -m benchmarks` prints everything."""
+"""Timings on this machine; `python -m benchmarks` prints all of them."""

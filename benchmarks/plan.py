@@ -1,6 +1,4 @@
-"""Milliseconds to imagine a set of plans with each model, from appearance on: 30 plans of 1 step,
-60 of 10 steps.
-"""
+"""Forecast time (ms) of each model for a set of plans: 30 of 1 step and 60 of 10 steps."""
 
 import argparse
 import time
@@ -51,9 +49,7 @@ def scene(inputs: InputSpec) -> Objects:
 
 @torch.inference_mode()
 def plan_ms(model: DynamicsModel, objects: Objects, samples: int, horizon: int) -> float:
-    """Median time to read the appearance once and unroll ``samples`` sequences of ``horizon``
-    actions.
-    """
+    """Median time to encode the appearance and to unroll ``samples`` plans of ``horizon`` steps."""
     actions = torch.randn(samples, horizon, 3) * 0.04
     tip, times = torch.zeros(samples, 3), []
     for _ in range(REPEATS):
@@ -68,23 +64,19 @@ def plan_ms(model: DynamicsModel, objects: Objects, samples: int, horizon: int) 
 
 
 def main() -> None:
-    """Print one line a model."""
+    """Print a line per model."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--params", type=Path, default=Path("params.yaml"))
     cfg = load(parser.parse_args().params, "dynamics", DynamicsConfig).pushing
     torch.manual_seed(0)
     objects = scene(INPUTS)
-    print(
-        f"{'model':<24}"
-        + "".join(f"{f'{s}x{h} ms':>12}" for s, h in PLANS)
-        + f"   ({torch.get_num_threads()} threads)"
-    )
-    for word, kind in MODELS.items():
-        if issubclass(kind, GraphModel):
-            model = kind(cfg.net, INPUTS).eval()
-            print(
-                f"{word:<24}" + "".join(f"{plan_ms(model, objects, s, h):>12.1f}" for s, h in PLANS)
-            )
+    header = "".join(f"{f'{samples}x{horizon} ms':>12}" for samples, horizon in PLANS)
+    print(f"{'model':<24}{header}   ({torch.get_num_threads()} threads)")
+    for name, model_class in MODELS.items():
+        if issubclass(model_class, GraphModel):
+            model = model_class(cfg.net, INPUTS).eval()
+            times = [plan_ms(model, objects, samples, horizon) for samples, horizon in PLANS]
+            print(f"{name:<24}" + "".join(f"{ms:>12.1f}" for ms in times))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Views a second on one core: ours, a loop over TinyRenderer, Embree; and whether ours and
-TinyRenderer agree.
+"""Views per second on one core: ``oes.render``, TinyRenderer and Embree; and parity with
+TinyRenderer.
 
 Table, arm with rod and three objects, 27 views of 128 x 128 pixels: RGB, depth and segmentation
-(Embree: hits alone). Rounds of all three alternate, each timed by the processor time of this
-process, so that other load weighs on all.
+(Embree: hits only). Repetitions of all three alternate and count processor time, so that other load
+affects all alike.
 """
 
 import argparse
@@ -34,7 +34,7 @@ from oes.sim.simulate import EpisodesConfig
 from oes.sim.world import World
 
 LONGEST_M = 0.08
-ROUNDS = 15
+REPEATS = 15
 
 
 def write_catalogue(cfg: MeshesConfig, folder: Path) -> Catalogue:
@@ -54,17 +54,15 @@ def write_catalogue(cfg: MeshesConfig, folder: Path) -> Catalogue:
 def random_state(
     catalogue: Catalogue, cfg: EpisodesConfig, rng: np.random.Generator
 ) -> tuple[list[RenderMesh], Floats, tuple[Camera, ...]]:
-    """Meshes, poses and cameras of all the catalogue's objects standing apart, with the rod at some
-    place.
-    """
+    """Meshes, poses and cameras of all objects of a catalogue, scattered, with a random tip."""
     bodies: list[Body] = [
         draw_body(mesh, cfg.sim.bodies, rng) for mesh in catalogue.meshes.values()
     ]
     poses = scatter(list(catalogue.meshes.values()), bodies, cfg.pushes.scatter, rng)
-    reach = cfg.sim.robot.workspace_m / 2
+    half_m = cfg.sim.robot.workspace_m / 2
     with World(catalogue, cfg.sim) as world:
         world.reset(
-            bodies, poses, np.array([*rng.uniform(-reach, reach, 2), cfg.sim.robot.tip_height_m])
+            bodies, poses, np.array([*rng.uniform(-half_m, half_m, 2), cfg.sim.robot.tip_height_m])
         )
         step = world.step(0, rig(cfg.sim.rig, rng))
     table_m = np.array(cfg.sim.physics.table_size_m)
@@ -83,13 +81,13 @@ def cpu_s(call: Callable[[], object]) -> float:
 
 
 def main() -> None:
-    """Print views a second per core of each, their ratio and the parity figures."""
+    """Print views per second and core of each, their ratio, and the parity."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--params", type=Path, default=Path("params.yaml"))
     path = parser.parse_args().params
     rng = np.random.default_rng(0)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory() as folder_name:
+        folder = Path(folder_name)
         catalogue = write_catalogue(load(path, "meshes", MeshesConfig), folder / "meshes")
         meshes, poses, cameras = random_state(
             catalogue, load(path, "episodes", EpisodesConfig), rng
@@ -101,28 +99,25 @@ def main() -> None:
                 ours, tiny.render([as_tiny_samples(camera) for camera in cameras])
             )
             calls = {
-                "ours": lambda: renderer.render(poses, cameras),
+                "oes.render": lambda: renderer.render(poses, cameras),
                 "TinyRenderer": lambda: tiny.render(cameras),
                 "Embree, hits only": lambda: cast(meshes, poses, cameras),
             }
-            times_s = {word: np.median(rounds) for word, rounds in _alternate(calls).items()}
-    print(
-        f"{'':<20}{'views/s per core':>18}{'of TinyRenderer':>18}   ({os.cpu_count()} cores here)"
-    )
-    for word, seconds in times_s.items():
-        print(
-            f"{word:<20}{len(cameras) / seconds:>18.0f}{times_s['TinyRenderer'] / seconds:>17.1f}x"
-        )
-    print(
-        f"parity: depth differs by {depth_mm:.4f} mm (median inside), {equal:.3%} of segmentation is equal"
-    )
+            times_s = {name: np.median(times) for name, times in _alternate(calls).items()}
+    header = f"{'':<20}{'views/s per core':>18}{'speed-up':>18}"
+    print(f"{header}   ({os.cpu_count()} cores)")
+    for name, time_s in times_s.items():
+        speed_up = times_s["TinyRenderer"] / time_s
+        print(f"{name:<20}{len(cameras) / time_s:>18.0f}{speed_up:>17.1f}x")
+    print(f"parity: median depth difference {depth_mm:.4f} mm away from edges, ", end="")
+    print(f"{equal:.3%} of segmentation ids equal")
 
 
 def _alternate(calls: dict[str, Callable[[], object]]) -> dict[str, list[float]]:
-    times: dict[str, list[float]] = {word: [] for word in calls}
-    for _ in range(ROUNDS):
-        for word, call in calls.items():
-            times[word].append(cpu_s(call))
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(REPEATS):
+        for name, call in calls.items():
+            times[name].append(cpu_s(call))
     return times
 
 

@@ -1,11 +1,8 @@
-"""The renderer that ours is measured against: Bullet's TinyRenderer, called once a view, on the
-same triangles.
-"""
+"""Baseline renderer: Bullet's TinyRenderer, called once per view on the same triangles."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -20,17 +17,14 @@ NEAR_M, FAR_M = 0.1, 5.0
 
 
 class TinyScene:
-    """A context manager with meshes posed in a Bullet client of its own; shadows off, segmentation
-    on.
-    """
+    """A context manager with posed meshes in its own Bullet client; no shadows."""
 
     def __init__(
-        self, meshes: Sequence[RenderMesh], world_T_mesh_M44: Floats, folder: Path
+        self, meshes: Sequence[RenderMesh], world_T_mesh_A44: Floats, folder: Path
     ) -> None:
         self._client = pybullet.connect(pybullet.DIRECT)
-        self._seg_of = np.zeros(
-            len(meshes) + 1, np.uint8
-        )  # by body; the last entry is no body (-1)
+        # By body; the last entry is for no body (-1).
+        self._seg_of = np.zeros(len(meshes) + 1, np.uint8)
         for mesh_i, mesh in enumerate(meshes):
             path = folder / f"{mesh_i}.obj"
             triangles = trimesh.Trimesh(mesh.vertices_P3, mesh.faces_F3, process=False)
@@ -41,7 +35,7 @@ class TinyScene:
                 rgbaColor=[0.5, 0.5, 0.5, 1],
                 physicsClientId=self._client,
             )
-            T = world_T_mesh_M44[mesh.pose_i]
+            T = world_T_mesh_A44[mesh.pose_i]
             pose = T[:3, 3].tolist(), quat_xyzw(T[:3, :3]).tolist()
             body = pybullet.createMultiBody(0, -1, shape, *pose, physicsClientId=self._client)
             self._seg_of[body] = mesh.seg_id
@@ -49,16 +43,11 @@ class TinyScene:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         pybullet.disconnect(self._client)
 
     def render(self, cameras: Sequence[Camera]) -> Frames:
-        """Images as ``Renderer.render`` gives them, of what lies between NEAR_M and FAR_M."""
+        """Images as of ``Renderer.render``, between the planes NEAR_M and FAR_M."""
         views = [self._view(camera) for camera in cameras]
         return Frames(*(np.stack(images) for images in zip(*views, strict=True)))
 
@@ -76,14 +65,14 @@ class TinyScene:
 
 
 def gl_matrices(camera: Camera) -> tuple[Floats, Floats]:
-    """OpenGL's view and projection (column vectors) of a camera."""
+    """OpenGL's view and projection matrices of a camera, for column vectors."""
     (fx, _, cx), (_, fy, cy), _ = camera.K_33
-    width, height, reach = camera.width_px, camera.height_px, FAR_M - NEAR_M
+    width, height, range_m = camera.width_px, camera.height_px, FAR_M - NEAR_M
     projection = np.array(
         [
             [2 * fx / width, 0, 1 - 2 * cx / width, 0],
             [0, 2 * fy / height, 2 * cy / height - 1, 0],
-            [0, 0, -(FAR_M + NEAR_M) / reach, -2 * FAR_M * NEAR_M / reach],
+            [0, 0, -(FAR_M + NEAR_M) / range_m, -2 * FAR_M * NEAR_M / range_m],
             [0, 0, -1, 0],
         ]
     )
@@ -91,10 +80,9 @@ def gl_matrices(camera: Camera) -> tuple[Floats, Floats]:
 
 
 def as_tiny_samples(camera: Camera) -> Camera:
-    """The camera with which TinyRenderer sees at its pixels what ours sees at ours.
+    """The camera with which TinyRenderer samples the points of ``Renderer``.
 
-    It samples at a pixel's left lower corner, not at its centre, so its image has to move by half a
-    pixel each way.
+    It samples at the lower left corner of a pixel, not at its centre: half a pixel off each way.
     """
     K_33 = camera.K_33.copy()
     K_33[:2, 2] += [-0.5, 0.5]
@@ -102,13 +90,10 @@ def as_tiny_samples(camera: Camera) -> Camera:
 
 
 def parity(ours: Frames, tiny: Frames) -> tuple[float, float]:
-    """Median depth difference (mm) where both see the same thing away from its edges, and the share
-    of equal ids.
-    """
+    """Median depth difference (mm) away from edges of equal segments, and share of equal ids."""
     same = ours.seg_VHW == tiny.seg_VHW
     inside = same & (ours.seg_VHW > 0)
     for axis, shift in ((1, 1), (1, -1), (2, 1), (2, -1)):
         inside &= ours.seg_VHW == np.roll(ours.seg_VHW, shift, axis)
-    return 1000 * float(np.median(np.abs(ours.depth_m_VHW - tiny.depth_m_VHW)[inside])), float(
-        same.mean()
-    )
+    error_m = np.abs(ours.depth_m_VHW - tiny.depth_m_VHW)[inside]
+    return 1000 * float(np.median(error_m)), float(same.mean())
