@@ -11,6 +11,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 PUSHING, FALLING = "pushing", "falling"  # the tasks
+TASKS = (PUSHING, FALLING)
 
 SEG_NOTHING, SEG_TABLE, SEG_ROBOT, SEG_FIRST_OBJECT = 0, 1, 2, 3
 

@@ -10,7 +10,7 @@ import trimesh
 
 from oes.config import load
 from oes.dynamics.reference_models import Simulator, Static
-from oes.episode import Episode, Floats
+from oes.episode import TASKS, Episode, Floats
 from oes.evaluation.evaluate_forecasts import MeshGeometry, error_rows
 from oes.evaluation.forecasters import (
     ModelForecaster,
@@ -24,7 +24,7 @@ from oes.evaluation.penetration import PenetrationMeter
 from oes.objects import Objects
 from oes.perception.objects_file import ObjectStore, Observation, pack, read_objects, write_objects
 from oes.perception.observations import ObjectsConfig
-from oes.sim.simulate import TASKS, EpisodesConfig, simulate
+from oes.sim.simulate import EpisodesConfig, simulate
 from tests.architecture import PROFILES
 from tests.blocks import make_catalogue
 from tests.factories import make_episode

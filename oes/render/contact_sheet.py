@@ -15,7 +15,7 @@ from oes.meshes.catalogue import Catalogue, Mesh
 from oes.render.renderer import Renderer
 from oes.render.scene import RenderMesh
 
-COLUMNS, GAP_PX, HEAD_PX, CAPTION_PX = 8, 16, 84, 54
+TILES_PER_ROW, GAP_PX, HEAD_PX, CAPTION_PX = 8, 16, 84, 54
 FOV_DEG, SUPERSAMPLING, MARGIN = 12.0, 3, 1.08  # a narrow field of view looks orthographic
 VIEW_3 = np.array([-0.46, -0.73, 0.50])  # direction of the camera, on the side of the light
 BAR_M = 0.02
@@ -42,7 +42,7 @@ def write_contact_sheet(catalogue: Catalogue, tile_px: int, path: Path) -> None:
     """Write a PNG with eight meshes a row; deterministic."""
     meshes = list(catalogue.meshes.values())
     cell_px = np.array([tile_px + GAP_PX, tile_px + CAPTION_PX + GAP_PX])
-    grid = (max(3, min(COLUMNS, len(meshes))), -(-len(meshes) // COLUMNS))
+    grid = (max(3, min(TILES_PER_ROW, len(meshes))), -(-len(meshes) // TILES_PER_ROW))
     width_px, height_px = (cell_px * grid + (GAP_PX, HEAD_PX)).tolist()
     figure = Figure(figsize=(width_px / 100, height_px / 100), dpi=100, facecolor=PAPER_RGB)
     canvas = figure.add_axes((0, 0, 1, 1), xlim=(0, width_px), ylim=(height_px, 0))
@@ -53,7 +53,9 @@ def write_contact_sheet(catalogue: Catalogue, tile_px: int, path: Path) -> None:
         _text(canvas, GAP_PX, 34, f"{len(meshes)} meshes", TEXT, 15, weight="bold")
         _text(canvas, GAP_PX, 59, f"{counts}. {note}", FAINT, 9)
         for i, mesh in enumerate(meshes):
-            left_px, top_px = (cell_px * (i % COLUMNS, i // COLUMNS) + (GAP_PX, HEAD_PX)).tolist()
+            left_px, top_px = (
+                cell_px * (i % TILES_PER_ROW, i // TILES_PER_ROW) + (GAP_PX, HEAD_PX)
+            ).tolist()
             _tile(canvas, mesh, left_px, top_px, tile_px)
         FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})  # type: ignore[no-untyped-call]
 

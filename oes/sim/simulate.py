@@ -6,15 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from oes.config import Shared, params
-from oes.episode import FALLING, PUSHING, Body, Episode
+from oes.episode import PUSHING, TASKS, Body, Episode
 from oes.meshes.catalogue import Catalogue
 from oes.sim.arm import ReachError
 from oes.sim.attempt import EpisodeSampler, SettleConfig, attempt_drop, attempt_push, record, rms
 from oes.sim.drop import FallsConfig
 from oes.sim.scene import PushesConfig, SceneRejected
 from oes.sim.world import NS_PER_MS, SimConfig, World
-
-TASKS = (PUSHING, FALLING)
 
 
 @params
