@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-# rows of a radial profile: all layers together; all but the lowest; the support on the table; then
-# single layers, upwards
+# Rows of a radial profile: union of all layers, union of all but the lowest, contour of the support
+# on the table, then every layer from the lowest up.
 UNION, UPPER, SUPPORT, LAYERS = range(4)
 
 TensorFields = TypeVar("TensorFields")

@@ -85,7 +85,9 @@ class Perceiver:
         """
         center_N3, size_N3 = (value.to(self.device) for value in boxes)
         with half_precision(self.device):
-            return self.net.regions(scene, (center_N3[None], size_N3[None])).mask_BNXYZ[0].sigmoid()
+            regions = self.net.regions(scene, (center_N3[None], size_N3[None]))
+            mask_NXYZ: Tensor = regions.mask_BNXYZ[0].sigmoid()
+        return mask_NXYZ
 
     @torch.inference_mode()
     def crops(self, scene: SceneFeatures, boxes: tuple[Tensor, Tensor]) -> Tensor:
@@ -109,6 +111,7 @@ class Perceiver:
         depth_1Q2 = torch.stack([behind_1Q, lifted_1QC[..., UNOBSERVED]], -1)
         depth_N2XYZ = depth_1Q2.reshape(-1, *window.shape, NUM_SURFACE).movedim(-1, 1)
         features_NCXYZ = crop(scene_map, self.net.cfg.grid, center_1N3, window)[0]
+        # Surfaces lie on the border of the mask, half of their voxels outside.
         dilated_N1XYZ = F.max_pool3d(mask_N1XYZ, 3, stride=1, padding=1)
         return torch.cat(
             [mask_N1XYZ, depth_N2XYZ * dilated_N1XYZ, features_NCXYZ * dilated_N1XYZ], dim=1
@@ -178,8 +181,7 @@ class Perceiver:
     def fields(self, scene: SceneFeatures) -> tuple[Field, Field]:
         """Volumes to render one scene from: its map, and the background around it."""
         with half_precision(self.device):
-            near = Field(self.net.scene_map(scene), self.net.cfg.grid)
-            return near, self.net.background(scene.views, scene.features_BVHWC)
+            return self.net.fields(scene)
 
     @torch.inference_mode()
     def render_fields(self, near: Field, far: Field, cameras: Sequence[Camera]) -> Frames:
@@ -191,7 +193,7 @@ class Perceiver:
         fields = near.repeated(len(cameras)), far.repeated(len(cameras))
         size = (cameras[0].height_px, cameras[0].width_px)
         with half_precision(self.device):
-            rgb, depth = self.net.decoder.rgbd(*fields, K_V33, world_T_cam_V44, size)
+            rgb, depth = self.net.decoder(*fields, K_V33, world_T_cam_V44, size)
         rgb_VHW3 = (rgb.clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
         seg_VHW = np.zeros(rgb_VHW3.shape[:3], dtype=np.uint8)
         return Frames(rgb_VHW3, depth.float().cpu().numpy(), seg_VHW)
