@@ -8,7 +8,7 @@ import resource
 import shutil
 import signal
 from collections.abc import Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.context import ForkServerContext
@@ -131,8 +131,10 @@ def ingest(
     jobs = list(zip(candidates, longest_m, strict=True))
     work = partial(_guarded, context=context, cfg=cfg, out=out, cache=cache)
     with ThreadPoolExecutor(cpu_count()) as pool:
-        results = pool.map(work, jobs)
-        reasons = list(progress_bar(results, total=len(jobs), desc="ingest", unit="file"))
+        futures = [pool.submit(work, job) for job in jobs]
+        # Counted as they end, so that one slow file does not hold up the count.
+        list(progress_bar(as_completed(futures), total=len(jobs), desc="ingest", unit="file"))
+    reasons = [future.result() for future in futures]
     pairs = zip(candidates, reasons, strict=True)
     return [Rejection(c.source, c.category, reason) for c, reason in pairs if reason]
 
