@@ -23,6 +23,8 @@ from oes.meshes.objfile import read_groups, write_groups
 LIST, REJECTED = "catalogue.csv", "rejected.csv"
 VISUAL, COLLISION, RECORD = "visual.obj", "collision.obj", "mesh.json"
 TRAIN, TEST = "train", "test"
+_Vector = tuple[float, float, float]
+
 BLOCK = "block"  # category of the meshes of the falling task; all others are pushed
 
 
@@ -91,11 +93,9 @@ class Record:
     source: str
     status: str
     volume_m3: float
-    com_obj_m: tuple[float, float, float]
-    inertia_obj_kg_m2: tuple[
-        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
-    ]
-    extents_m: tuple[float, float, float]
+    com_obj_m: _Vector
+    inertia_obj_kg_m2: tuple[_Vector, _Vector, _Vector]
+    extents_m: _Vector
 
 
 def write_mesh(draft: Draft, mass: Mass, folder: Path) -> None:
