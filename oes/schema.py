@@ -64,7 +64,7 @@ FORECASTS: Columns = {  # dynamics/pushing-<visual_foresight or planet>/forecast
     **dict.fromkeys(("error_mm", "still_mm"), "float"),
 }
 
-MODELS = {
+MODEL_LABELS = {
     "static": "nothing moves",
     "graph_xyz": "graph-XYZ",
     "graph_xyz_image": "graph-XYZ-image",
@@ -80,7 +80,7 @@ MODELS = {
 IMAGE_MODELS = ("visual_foresight", "planet")
 """Models that forecast images, not objects."""
 
-VARIANTS = {
+VARIANT_LABELS = {
     "contact_gt": "+ ground-truth surfaces",
     "contact_noaug": "- augmentation",
     "contact_onestep": "- unroll (single steps)",

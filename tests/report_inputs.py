@@ -18,7 +18,7 @@ from oes.schema import (
     FORECASTS,
     FUTURES,
     IMAGE_MODELS,
-    MODELS,
+    MODEL_LABELS,
     TRIALS,
     VIEWS,
 )
@@ -130,7 +130,9 @@ def write_errors(folder: Path, task: str) -> None:
     Of pushing, two ablations too, with the errors of Contact.
     """
     rng = np.random.default_rng(0)
-    for size, model in enumerate((name for name in MODELS if name not in IMAGE_MODELS), start=1):
+    for size, model in enumerate(
+        (name for name in MODEL_LABELS if name not in IMAGE_MODELS), start=1
+    ):
         rows = []
         for num_objects, split, setting in SCENES[task]:
             num_views = int(setting[0]) if setting[0].isdigit() else 1

@@ -19,7 +19,7 @@ from oes.report.names import METRICS, SETTINGS
 from oes.report.provenance import describe_machine, read_seeds
 from oes.report.rows import RowsError, read_rows
 from oes.report.table import MAX_COLUMNS
-from oes.schema import ERRORS, IMAGE_MODELS, MODELS, VIEWS
+from oes.schema import ERRORS, IMAGE_MODELS, MODEL_LABELS, VIEWS
 from tests.report_inputs import make_inputs
 
 CFG = TablesConfig(seed=0, profile="test", tasks=("pushing", "falling"), scenarios=("targets",))
@@ -106,7 +106,7 @@ def test_metrics_json_has_the_agreed_shape(tree: dict[str, dict]) -> None:  # ty
     assert set(tree["pushing"]) == set(SETTINGS)
     for setting in SETTINGS:
         alone = set() if setting == "fixed_pred" else {"graph_xyz_image_fixed"}
-        assert set(tree["pushing"][setting]) == set(MODELS) - alone - set(IMAGE_MODELS)
+        assert set(tree["pushing"][setting]) == set(MODEL_LABELS) - alone - set(IMAGE_MODELS)
     model = tree["pushing"]["1view_pred"]["oes"]
     shares = {"n", "interval_95", "median", "diverged", "moved", "detected_share"}
     assert set(METRICS) | shares == set(model)
@@ -274,7 +274,7 @@ def test_contact_calibration_and_ablations(reports: Path, tree: dict[str, dict])
     """In the synthetic rows the error of a model grows with its place in the order."""
     ratio = tree["contact_ratio"]["falling"]["graph_xyz"]["translation_mm"]["5"]
     assert ratio["interval_95"][0] <= ratio["ratio"] <= ratio["interval_95"][1]
-    sizes = [name for name in MODELS if name not in IMAGE_MODELS]
+    sizes = [name for name in MODEL_LABELS if name not in IMAGE_MODELS]
     place = sizes.index("contact") + 1, sizes.index("graph_xyz") + 1
     assert ratio["ratio"] == pytest.approx(place[0] / place[1], rel=0.1)
     found = tree["calibration"]["pushing"]["contact"]["1view_pred"]

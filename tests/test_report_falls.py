@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from oes.csv_io import write_csv
-from oes.report.aggregates import error_aggregates, records
+from oes.report.aggregates import as_dicts, error_aggregates
 from oes.report.metrics import metrics_tree
 from oes.report.rows import RowsError, read_rows
 from oes.report.tables import forecast_groups
@@ -64,12 +64,12 @@ def test_table_2_describes_falls(tmp_path: Path) -> None:
     main = frame[(frame["block"] == "forecast") & (frame["objects"] == "all")]
     shares = set(main.loc[main["model"] == "graph_xyz", "diverged"])
     assert shares == {4 / 14}, "the same under every metric and setting"
-    last = [row for row in records(frame) if (row["T"], row["objects"]) == (5, "moved")]
+    last = [row for row in as_dicts(frame) if (row["T"], row["objects"]) == (5, "moved")]
     medians = {row["metric"]: row["median"] for row in last if row["model"] == "oes"}
     assert medians == {"translation_mm": 5.0, "rotation_deg": 10.0, "surface_mm": 2.5}
     (ratio,) = [
         row["mean"]
-        for row in records(frame)
+        for row in as_dicts(frame)
         if (row["block"], row["group"], row["metric"], row["T"])
         == ("ratio", "1view_pred", "translation_mm", 5)
     ]

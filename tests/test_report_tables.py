@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from oes.csv_io import write_csv
-from oes.report.aggregates import error_aggregates, ratio, records, tidy, trial_aggregates
+from oes.report.aggregates import as_dicts, error_aggregates, ratio, tidy, trial_aggregates
 from oes.report.metrics import metrics_tree, plain, write_json
 from oes.report.rows import RowsError, read_rows
 from oes.report.table import Table, TableGroup, latex, markdown, write_group
@@ -185,7 +185,7 @@ def _trials(path: Path) -> pd.DataFrame:
 
 def test_trials_are_paired(tmp_path: Path) -> None:
     frame = tidy(trial_aggregates(_trials(tmp_path / "trials.csv"), "targets"))
-    rows = {(row["planner"], row["model"], row["metric"]): row for row in records(frame)}
+    rows = {(row["planner"], row["model"], row["metric"]): row for row in as_dicts(frame)}
     order = [("shooting", "graph_xyz"), ("shooting", "oes"), ("cem", "oes")]
     assert list(dict.fromkeys(key[:2] for key in rows)) == order
     mean = {key: row["mean"] for key, row in rows.items()}

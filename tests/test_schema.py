@@ -5,8 +5,8 @@ from oes.dynamics import MODELS, VARIANTS
 
 
 def test_every_model_has_a_label_and_every_variant_its_settings() -> None:
-    assert set(MODELS) == set(schema.MODELS) - set(schema.IMAGE_MODELS)
-    assert list(VARIANTS) == list(schema.VARIANTS) and set(VARIANTS.values()) <= set(MODELS)
+    assert set(MODELS) == set(schema.MODEL_LABELS) - set(schema.IMAGE_MODELS)
+    assert list(VARIANTS) == list(schema.VARIANT_LABELS) and set(VARIANTS.values()) <= set(MODELS)
 
 
 def test_every_column_has_a_known_type() -> None:

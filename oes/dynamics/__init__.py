@@ -21,5 +21,5 @@ MODELS: dict[str, type[nn.Module]] = {
     "graph_xyz_image_fixed": GraphXYZImageFixed,
 }
 
-VARIANTS = dict.fromkeys(schema.VARIANTS, "contact")
+VARIANTS = dict.fromkeys(schema.VARIANT_LABELS, "contact")
 """Ablations: models of ``MODELS`` under other training settings, by name."""

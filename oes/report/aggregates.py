@@ -21,25 +21,25 @@ from oes.metrics.statistics import (
     signed_rank,
     wilson,
 )
-from oes.report.inputs import FIRST, TASKS, Card, RawData, TaskSpec
+from oes.report.inputs import FIRST, TASK_SPECS, Card, RawData, TaskSpec
 from oes.report.names import (
     BASELINE,
     CONTACT,
-    EDITS,
+    EDIT_LABELS,
     FIXED,
-    HORIZONS,
     LAST,
     METRICS,
     OURS,
     SETTINGS,
+    SHOWN_T,
     VARIED,
     in_order,
     views_key,
 )
-from oes.report.paper import CONTROL, Printed
+from oes.report.paper import PAPER_SUCCESS, Printed
 from oes.report.rows import RowsError
 
-Row = dict[str, Any]
+Aggregate = dict[str, Any]
 
 DIVERGED_MM = 300.0
 DEEP_MM = 1.0
@@ -53,14 +53,14 @@ COUNTS = ("T", "n", "episodes")
 COLUMNS = (*NAMES, "T", "mean", "low", "high", "median", "n", "episodes", *VALUES[4:])
 
 
-def tidy(rows: Iterable[Row]) -> pd.DataFrame:
+def tidy(rows: Iterable[Aggregate]) -> pd.DataFrame:
     """Rows as the tidy frame; an absent name is empty, an absent number missing."""
     frame = pd.DataFrame(list(rows), columns=list(COLUMNS))
     frame[list(NAMES)] = frame[list(NAMES)].astype(object).fillna("").astype("str")
     return frame.astype(dict.fromkeys(VALUES, "float64") | dict.fromkeys(COUNTS, "Int64"))
 
 
-def records(frame: pd.DataFrame) -> list[Row]:
+def as_dicts(frame: pd.DataFrame) -> list[Aggregate]:
     """Rows of the frame as dictionaries."""
     return [{str(name): value for name, value in row.items()} for row in frame.to_dict("records")]
 
@@ -84,13 +84,15 @@ def aggregate(raw: RawData, scenarios: Iterable[str], seed: int) -> pd.DataFrame
 
 
 def error_aggregates(errors: pd.DataFrame, seed: int) -> pd.DataFrame:
-    """Aggregates of the forecast errors of one task of ``TASKS``. Raises RowsError otherwise."""
+    """Aggregates of the forecast errors of one task. Raises RowsError for several or others."""
     names = sorted(set(errors["task"]))
-    if len(names) != 1 or names[0] not in TASKS:
-        raise RowsError(f"errors must be of one task of {', '.join(TASKS)}; these are of: {names}")
-    task = TASKS[names[0]]
+    if len(names) != 1 or names[0] not in TASK_SPECS:
+        raise RowsError(
+            f"errors must be of one task of {', '.join(TASK_SPECS)}; these are of: {names}"
+        )
+    task = TASK_SPECS[names[0]]
     rows = [
-        *_forecasts(errors[~errors["model"].isin(list(schema.VARIANTS))], task, seed),
+        *_forecasts(errors[~errors["model"].isin(list(schema.VARIANT_LABELS))], task, seed),
         *_ratios(errors, task, seed),
         *_ablations(errors, task, seed),
         *_calibration(errors, task),
@@ -99,7 +101,7 @@ def error_aggregates(errors: pd.DataFrame, seed: int) -> pd.DataFrame:
     return tidy({"task": task.name} | row for row in rows)
 
 
-def _forecasts(rows: pd.DataFrame, task: TaskSpec, seed: int) -> Iterator[Row]:
+def _forecasts(rows: pd.DataFrame, task: TaskSpec, seed: int) -> Iterator[Aggregate]:
     main = rows[rows["split"].isin(task.splits)]
     for setting in task.settings:
         printed = task.printed.get(setting, {})
@@ -115,7 +117,9 @@ def _forecasts(rows: pd.DataFrame, task: TaskSpec, seed: int) -> Iterator[Row]:
         yield from _means(part, {"block": "by_views", "group": str(num)}, seed)
 
 
-def _means(rows: pd.DataFrame, about: Row, seed: int, printed: Printed | None = None) -> list[Row]:
+def _means(
+    rows: pd.DataFrame, about: Aggregate, seed: int, printed: Printed | None = None
+) -> list[Aggregate]:
     """A row per model, metric, (all or moved) objects and T. ``n``, ``episodes`` and the shares
     are of the last T, the same under every metric.
     """
@@ -123,11 +127,9 @@ def _means(rows: pd.DataFrame, about: Row, seed: int, printed: Printed | None = 
     for model in in_order(rows["model"]):
         own = rows[rows["model"] == model]
         for metric in METRICS:
-            paper = dict(
-                zip(HORIZONS, (printed or {}).get(model, {}).get(metric, ()), strict=False)
-            )
+            paper = dict(zip(SHOWN_T, (printed or {}).get(model, {}).get(metric, ()), strict=False))
             for objects, kept in (("all", own), ("moved", own[own["moved"]])):
-                by_T = {T: part for T in HORIZONS if len(part := kept[kept["T"] == T])}
+                by_T = {T: part for T in SHOWN_T if len(part := kept[kept["T"] == T])}
                 shared = about | {"model": model, "metric": metric, "objects": objects}
                 shared |= _shares(by_T[max(by_T)]) if by_T else {}
                 for T, part in by_T.items():
@@ -137,7 +139,7 @@ def _means(rows: pd.DataFrame, about: Row, seed: int, printed: Printed | None = 
     return found
 
 
-def _shares(last: pd.DataFrame) -> Row:
+def _shares(last: pd.DataFrame) -> Aggregate:
     return {
         "n": len(last),
         "episodes": len(np.unique(_episodes(last))),
@@ -146,7 +148,7 @@ def _shares(last: pd.DataFrame) -> Row:
     }
 
 
-def _ratios(errors: pd.DataFrame, task: TaskSpec, seed: int) -> Iterator[Row]:
+def _ratios(errors: pd.DataFrame, task: TaskSpec, seed: int) -> Iterator[Aggregate]:
     """3D-OES over graph-XYZ in every setting; Contact over both in ``VARIED``."""
     main = errors[errors["split"].isin(task.splits)]
     for setting in task.settings:
@@ -155,14 +157,14 @@ def _ratios(errors: pd.DataFrame, task: TaskSpec, seed: int) -> Iterator[Row]:
         pairs += [(CONTACT, BASELINE), (CONTACT, OURS)] if setting == VARIED else []
         for model, against in pairs:
             for metric in METRICS:
-                for T in HORIZONS:
+                for T in SHOWN_T:
                     found = ratio(own, (model, against), metric, T, seed)
                     yield from [{"block": "ratio", "group": setting} | found] if found else []
 
 
 def ratio(
     rows: pd.DataFrame, models: tuple[str, str], metric: str, T: int, seed: int
-) -> Row | None:
+) -> Aggregate | None:
     """Mean error of the first model over that of the second on the same objects, with a paired
     interval; None without pairs.
     """
@@ -177,38 +179,38 @@ def ratio(
     return {"model": models[0], "against": models[1], "metric": metric, "T": T} | found
 
 
-def _ablations(errors: pd.DataFrame, task: TaskSpec, seed: int) -> Iterator[Row]:
+def _ablations(errors: pd.DataFrame, task: TaskSpec, seed: int) -> Iterator[Aggregate]:
     """Means of the variants of Contact, and their ratios to Contact itself."""
     varied = _of_setting(errors[errors["split"].isin(task.splits)], VARIED)
-    is_variant = varied["model"].isin(list(schema.VARIANTS))
+    is_variant = varied["model"].isin(list(schema.VARIANT_LABELS))
     if task is not FIRST or not is_variant.any():
         return
     for row in _means(varied[is_variant], {"block": "ablation", "group": VARIED}, seed):
         if row["objects"] == "all":
             yield row
-    for variant in schema.VARIANTS:
+    for variant in schema.VARIANT_LABELS:
         for metric in METRICS:
             found = ratio(varied, (variant, CONTACT), metric, LAST, seed)
             yield from [{"block": "ablation", "group": VARIED} | found] if found else []
 
 
-def _calibration(errors: pd.DataFrame, task: TaskSpec) -> Iterator[Row]:
+def _calibration(errors: pd.DataFrame, task: TaskSpec) -> Iterator[Aggregate]:
     """Of models with an error model: mean sigma, coverages and negative log-likelihoods."""
     rows = errors[errors["split"].isin(task.splits) & errors["sigma_mm"].notna()]
-    rows = rows[~rows["model"].isin(list(schema.VARIANTS))]
+    rows = rows[~rows["model"].isin(list(schema.VARIANT_LABELS))]
     for model in in_order(rows["model"]):
         for setting in SETTINGS:
-            for T in HORIZONS:
+            for T in SHOWN_T:
                 own = (rows["model"] == model) & (rows["setting"] == setting) & (rows["T"] == T)
                 about = {"block": "calibration", "group": setting, "model": model, "T": T}
                 if own.any():
                     yield from _all_means(rows[own], CALIBRATION, about)
 
 
-def _plausibility(errors: pd.DataFrame, task: TaskSpec) -> Iterator[Row]:
+def _plausibility(errors: pd.DataFrame, task: TaskSpec) -> Iterator[Aggregate]:
     """Penetration, and forecast motion of objects that did not move (``n`` counts those)."""
     rows = _of_setting(errors[errors["split"].isin(task.splits)], VARIED)
-    rows = rows[(rows["T"] == LAST) & ~rows["model"].isin(list(schema.VARIANTS))]
+    rows = rows[(rows["T"] == LAST) & ~rows["model"].isin(list(schema.VARIANT_LABELS))]
     for model in in_order(rows["model"]):
         own = rows[rows["model"] == model]
         depth_mm, still_mm = own["penetration_mm"], own.loc[~own["moved"], "translation_mm"]
@@ -221,7 +223,7 @@ def _plausibility(errors: pd.DataFrame, task: TaskSpec) -> Iterator[Row]:
             yield about | {"metric": metric, "mean": _mean(values), "n": len(values)}
 
 
-def detector_aggregates(rows: pd.DataFrame, task: str) -> Iterator[Row]:
+def detector_aggregates(rows: pd.DataFrame, task: str) -> Iterator[Aggregate]:
     """By number of views: AP of novel objects; of matched detections mask IoU, centre error,
     Chamfer distance and normal error of the completed surface; counts of objects and boxes.
     """
@@ -253,21 +255,21 @@ def detector_metrics(rows: pd.DataFrame) -> dict[str, float]:
     }
 
 
-def view_prediction(views: pd.DataFrame) -> Iterator[Row]:
+def view_prediction(views: pd.DataFrame) -> Iterator[Aggregate]:
     """PSNR and SSIM of predicted views by number of input views."""
     for num_views, own in views.groupby("num_views"):
         about = {"block": "view_prediction", "group": views_key(int(str(num_views)))}
         yield from _all_means(own, ("psnr_db", "ssim"), about)
 
 
-def _capture(card: Card, task: str, split: str) -> Iterator[Row]:
+def _capture(card: Card, task: str, split: str) -> Iterator[Aggregate]:
     about = {"block": "capture", "task": task, "group": split, "episodes": card.episodes}
     for metric, value in card.metrics.items():
         by_T = value.items() if isinstance(value, dict) else [(None, value)]
         yield from (about | {"metric": metric, "T": T and int(T), "mean": mean} for T, mean in by_T)
 
 
-def trial_aggregates(trials: pd.DataFrame, scenario: str) -> Iterator[Row]:
+def trial_aggregates(trials: pd.DataFrame, scenario: str) -> Iterator[Aggregate]:
     """Every model with each planner (the paper's first); a trial that did not run failed.
 
     Success and final distance hold the p of a paired test of 3D-OES against the model.
@@ -278,16 +280,16 @@ def trial_aggregates(trials: pd.DataFrame, scenario: str) -> Iterator[Row]:
         for model in in_order(with_it["model"]):
             own, ours = (with_it[with_it["model"] == name] for name in (model, OURS))
             about = {"block": "mpc", "group": scenario, "model": model, "planner": planner}
-            paper = CONTROL.get(scenario, {}).get(model) if planner == PAPER_PLANNER else None
+            paper = PAPER_SUCCESS.get(scenario, {}).get(model) if planner == PAPER_PLANNER else None
             for row in _trial_rows(own, ours):
                 yield about | {"n": len(own), "paper": paper} | row
 
 
-def _trial_rows(own: pd.DataFrame, ours: pd.DataFrame) -> list[Row]:
+def _trial_rows(own: pd.DataFrame, ours: pd.DataFrame) -> list[Aggregate]:
     ran = own[own["failure"] == ""]
     low, high = wilson(int(own["success"].sum()), len(own))
     pairs = ours.merge(own, on="trial_i", suffixes=("", "_against")).sort_values("trial_i")
-    p_values: Row = {}
+    p_values: Aggregate = {}
     if own["model"].iloc[0] != OURS and len(pairs):
         first, second = pairs["success"], pairs["success_against"]
         p_values["success"] = mcnemar_exact(
@@ -314,7 +316,7 @@ def _trial_rows(own: pd.DataFrame, ours: pd.DataFrame) -> list[Row]:
     ]
 
 
-def _image_forecasts(raw: RawData) -> Iterator[Row]:
+def _image_forecasts(raw: RawData) -> Iterator[Aggregate]:
     names = [name for name in schema.FORECASTS if name not in ("clip", "T")]
     for model, rows in raw.image_forecasts.items():
         for T, part in rows.groupby("T"):
@@ -322,7 +324,7 @@ def _image_forecasts(raw: RawData) -> Iterator[Row]:
             yield from _all_means(part, names, about)
 
 
-def _futures(raw: RawData, seed: int) -> Iterator[Row]:
+def _futures(raw: RawData, seed: int) -> Iterator[Aggregate]:
     """Means of rendered futures and of edits, by model or source; intervals of the edits."""
     for task, tables in raw.futures.items():
         for block in ("renders", "consistency"):
@@ -333,7 +335,7 @@ def _futures(raw: RawData, seed: int) -> Iterator[Row]:
                     about = {"block": block, "task": task, "model": source, "T": T}
                     yield from _all_means(own[own["T"] == T], names, about)
         edits = tables["edits"]
-        for kind in sorted(set(edits["edit"]), key=list(EDITS).index):
+        for kind in sorted(set(edits["edit"]), key=list(EDIT_LABELS).index):
             for model in in_order(edits.loc[edits["edit"] == kind, "model"]):
                 own = edits[(edits["edit"] == kind) & (edits["model"] == model)]
                 about = {"block": "edits", "task": task, "group": kind, "model": model}
@@ -341,13 +343,13 @@ def _futures(raw: RawData, seed: int) -> Iterator[Row]:
                     yield from _edit_rows(part, about | {"T": T}, seed)
 
 
-def _edit_rows(part: pd.DataFrame, about: Row, seed: int) -> Iterator[Row]:
+def _edit_rows(part: pd.DataFrame, about: Aggregate, seed: int) -> Iterator[Aggregate]:
     for metric in ("translation_mm", "rotation_deg"):
         found = bootstrap_mean(_array(part, metric), part["episode_i"].to_numpy(), seed)
         yield about | {"metric": metric, "n": len(part)} | _interval(found)
 
 
-def _all_means(rows: pd.DataFrame, metrics: Iterable[str], about: Row) -> Iterator[Row]:
+def _all_means(rows: pd.DataFrame, metrics: Iterable[str], about: Aggregate) -> Iterator[Aggregate]:
     """A row per metric; missing values are left out of the mean, ``n`` counts all rows."""
     for metric in metrics:
         yield about | {"metric": metric, "mean": _mean(rows[metric].dropna()), "n": len(rows)}
@@ -373,5 +375,5 @@ def _mean(values: "pd.Series[Any]") -> float:
     return float(values.to_numpy().mean()) if len(values) else float("nan")
 
 
-def _interval(values: tuple[float, float, float]) -> Row:
+def _interval(values: tuple[float, float, float]) -> Aggregate:
     return dict(zip(("mean", "low", "high"), values, strict=True))

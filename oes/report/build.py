@@ -40,10 +40,10 @@ def build(cfg: TablesConfig, inputs: Inputs, seeds: Mapping[str, int], out: Path
     machine = describe_machine()
     tree = plain({"profile": cfg.profile, "machine": machine, **metrics_tree(frame)})
     opening = [provenance(cfg.profile, _episodes(raw), seeds, machine)]
-    write_report(frame, tree, media, opening, out)
+    write_rendered(frame, tree, media, opening, out)
 
 
-def write_report(
+def write_rendered(
     frame: pd.DataFrame,
     tree: dict[str, Any],
     media: Sequence[Media],

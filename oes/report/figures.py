@@ -13,8 +13,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from oes.report.inputs import TASKS, RawData
-from oes.report.names import COLOURS, HORIZONS, LAST, METRICS, SETTINGS, VARIED, in_order, label
+from oes.report.inputs import TASK_SPECS, RawData
+from oes.report.names import (
+    LAST,
+    METRICS,
+    MODEL_COLOURS,
+    SETTINGS,
+    SHOWN_T,
+    VARIED,
+    in_order,
+    label,
+)
 
 STYLE: dict[Any, Any] = {
     "font.size": 9,
@@ -60,7 +69,7 @@ def write_figures(frame: pd.DataFrame, raw: RawData, logs: pd.DataFrame, out: Pa
         found.append(Media(page, f"figures/{name}.png", caption))
 
     for task in raw.errors:
-        spec, Task = TASKS[task], task.capitalize()
+        spec, Task = TASK_SPECS[task], task.capitalize()
         rows = frame[(frame["task"] == task) & (frame["objects"] == "all")]
         varied = rows[(rows["block"] == "forecast") & (rows["group"] == VARIED)]
         caption = (
@@ -92,7 +101,7 @@ def over_time(rows: pd.DataFrame) -> Figure:
             own = rows[(rows["metric"] == metric) & (rows["model"] == model)]
             _draw(panel, model, own["T"].astype(int).tolist(), own)
         panel.set_xlabel("T (steps)")
-        panel.set_xticks(HORIZONS)
+        panel.set_xticks(SHOWN_T)
     return figure
 
 
@@ -146,7 +155,7 @@ def learning(logs: pd.DataFrame) -> Figure:
     for panel, name in zip(panels, known, strict=True):
         for model in in_order(logs["model"]) if name in logs else ():
             own = logs[(logs["model"] == model) & logs[name].notna()]
-            colour = COLOURS.get(model, "#0072b2")
+            colour = MODEL_COLOURS.get(model, "#0072b2")
             panel.plot(own["step"], own[name], color=colour, label=label(model))
         panel.set_xlabel("step")
         if name == "loss":
@@ -181,7 +190,7 @@ def _panels(
 
 
 def _draw(panel: Axes, model: str, x: list[int], rows: pd.DataFrame) -> None:
-    colour = COLOURS.get(model, "#cc79a7")
+    colour = MODEL_COLOURS.get(model, "#cc79a7")
     mean, low, high = (rows[name].to_numpy(float) for name in ("mean", "low", "high"))
     panel.plot(x, mean, marker="o", markersize=4, color=colour, label=label(model))
     panel.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)

@@ -11,7 +11,7 @@ from PIL import Image
 from oes.report.figures import Media
 from oes.report.names import BASELINE, OURS
 from oes.report.rows import RowsError
-from oes.schema import MODELS
+from oes.schema import MODEL_LABELS
 from oes.viz.overlay import INK, Pixels
 from oes.viz.video import write_gif, write_video
 
@@ -33,7 +33,7 @@ def forecast_film(rollouts: Path, task: str, out: Path) -> Media:
     if task == GIF_OF:
         seconds = [1 / FPS] * (len(images) - 1) + [1 / FPS + HOLD_S]
         write_gif(list(zip(images, seconds, strict=True)), out / f"{name}.gif")
-    models = " and ".join(MODELS[model] for model in SHOWN)
+    models = " and ".join(MODEL_LABELS[model] for model in SHOWN)
     caption = f"{task.capitalize()}: recorded motion, and forecasts of {models}, on novel objects."
     return Media(task, f"{name}.mp4", caption)
 
@@ -65,7 +65,7 @@ def film_of(tiles_SCTHW3: NDArray[np.uint8]) -> list[Pixels]:
         heads = np.hstack(
             [
                 _head(text, side_px)
-                for text in (f"truth, T = {T}", *(MODELS[model] for model in SHOWN))
+                for text in (f"truth, T = {T}", *(MODEL_LABELS[model] for model in SHOWN))
             ]
         )
         image = np.vstack(

@@ -11,7 +11,7 @@ import pandas as pd
 from oes import schema
 from oes.config import params
 from oes.report.names import SETTINGS, VARIED
-from oes.report.paper import FORECAST, Printed
+from oes.report.paper import PAPER_ERRORS, Printed
 from oes.report.rows import RowsError, read_rows
 
 
@@ -58,13 +58,13 @@ class TaskSpec:
     suffix: str
 
 
-TASKS = {
+TASK_SPECS = {
     "pushing": TaskSpec(
         name="pushing",
         splits=("test2",),
         view_splits=("test2",),
         settings=tuple(SETTINGS),
-        printed=FORECAST["pushing"],
+        printed=PAPER_ERRORS["pushing"],
         table="table1",
         title="Forecasting pushed objects",
         scenes="two novel objects",
@@ -75,14 +75,14 @@ TASKS = {
         splits=("test3", "test4"),
         view_splits=(),
         settings=(VARIED, *(setting for setting in SETTINGS if setting != VARIED)),
-        printed=FORECAST["falling"],
+        printed=PAPER_ERRORS["falling"],
         table="table2",
         title="Forecasting falling objects",
         scenes="three to four novel objects",
         suffix="-falling",
     ),
 }
-FIRST = TASKS["pushing"]  # the task of trials, baselines and view prediction
+FIRST = TASK_SPECS["pushing"]  # the task of trials, baselines and view prediction
 
 # The cause of motion, which a dataset card describes by other numbers for each task.
 CAUSES: dict[str, Callable[[Any], dict[str, Any]]] = {
@@ -117,7 +117,7 @@ class RawData:
 
 def read_inputs(cfg: TablesConfig, inputs: Inputs) -> RawData:
     """Read all rows. Raises RowsError, FileNotFoundError."""
-    specs = {name: TASKS[name] for name in cfg.tasks}
+    specs = {name: TASK_SPECS[name] for name in cfg.tasks}
     views = inputs.objects / f"{FIRST.name}-{FIRST.splits[0]}" / "views.csv"
     forecasts = {
         name: inputs.dynamics / f"pushing-{name}" / "forecasts.csv" for name in schema.IMAGE_MODELS
@@ -192,7 +192,7 @@ def learning_logs(perception: Path, dynamics: Path, tasks: Sequence[str]) -> pd.
     for task in tasks:
         for path in sorted(dynamics.glob(f"{task}-*/log.csv")):
             model = path.parent.name.removeprefix(f"{task}-")
-            if model not in schema.VARIANTS and "mm_5" in path.read_text(encoding="utf-8"):
+            if model not in schema.VARIANT_LABELS and "mm_5" in path.read_text(encoding="utf-8"):
                 logs[task, model] = path
     read = {key: pd.read_csv(path) for key, path in logs.items() if path.exists()}
     parts = [log.assign(task=task, model=model) for (task, model), log in read.items()]

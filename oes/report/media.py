@@ -12,7 +12,7 @@ from PIL import Image
 from oes.report.figures import Media
 from oes.report.inputs import Inputs, TablesConfig
 from oes.report.names import OURS, SCENARIOS, label
-from oes.schema import IMAGE_MODELS, VARIANTS
+from oes.schema import IMAGE_MODELS, VARIANT_LABELS
 from oes.training.compact_weights import write_compact
 from oes.viz.overlay import Pixels
 from oes.viz.video import write_video
@@ -123,5 +123,5 @@ def copy_models(perception: Path, dynamics: Path, folder: Path) -> None:
 
 def _models(dynamics: Path) -> Iterator[Path]:
     for path in sorted(dynamics.glob("*/model.safetensors")):
-        if path.parent.name.partition("-")[2] not in VARIANTS:
+        if path.parent.name.partition("-")[2] not in VARIANT_LABELS:
             yield path

@@ -8,10 +8,10 @@ from typing import Any
 
 import pandas as pd
 
-from oes.report.aggregates import Row, records
-from oes.report.inputs import FIRST, TASKS
+from oes.report.aggregates import Aggregate, as_dicts
+from oes.report.inputs import FIRST, TASK_SPECS
 from oes.report.names import BASELINE, CONTACT, LAST, OURS, VARIED, views_key
-from oes.schema import MODELS
+from oes.schema import MODEL_LABELS
 
 Tree = dict[str, Any]
 Place = tuple[tuple[Any, ...], Any]  # keys from the root, value
@@ -27,7 +27,7 @@ def metrics_tree(frame: pd.DataFrame) -> Tree:
     ``_falling``, except ``falling_by_objects``.
     """
     tree: Tree = {}
-    for row in records(frame):
+    for row in as_dicts(frame):
         for path, value in _places(row):
             put(tree, path, value)
     if views := tree.get("view_prediction"):
@@ -43,7 +43,7 @@ def put(tree: Tree, path: Iterable[Any], value: object) -> None:
     tree[last] = value
 
 
-def _places(row: Row) -> list[Place]:
+def _places(row: Aggregate) -> list[Place]:
     """Paths and values of one row of the tidy frame."""
     block, metric = row["block"], row["metric"]
     row |= {"key": _key(block, row["task"])}
@@ -64,11 +64,11 @@ def _key(block: str, task: str) -> str:
     if block == "by_objects" and task != FIRST.name:
         return f"{task}_by_objects"
     if block in ("by_views", "ratio", "detector", "capture"):
-        return block + TASKS[task].suffix.replace("-", "_")
+        return block + TASK_SPECS[task].suffix.replace("-", "_")
     return _KEYS.get(block, block)
 
 
-def _error_places(row: Row) -> list[Place]:
+def _error_places(row: Aggregate) -> list[Place]:
     above = row["key"], row["group"], row["model"]
     at = above if row["objects"] == "all" else (*above, row["objects"])
     metric, T = row["metric"], row["T"]
@@ -84,7 +84,7 @@ def _error_places(row: Row) -> list[Place]:
     return found
 
 
-def _ratio_places(row: Row) -> list[Place]:
+def _ratio_places(row: Aggregate) -> list[Place]:
     value = {"ratio": row["mean"], "interval_95": [row["low"], row["high"]]}
     model, against, end = row["model"], row["against"], (row["metric"], row["T"])
     if row["block"] == "ablation":
@@ -94,13 +94,13 @@ def _ratio_places(row: Row) -> list[Place]:
     return [((row["key"], f"{model}/{against}", row["group"], *end), value)]
 
 
-def _capture_places(row: Row) -> list[Place]:
+def _capture_places(row: Aggregate) -> list[Place]:
     by_T: tuple[int, ...] = () if pd.isna(row["T"]) else (row["T"],)
     at = row["key"], row["metric"], *by_T
     return [(at, row["mean"])] if row["group"] == "train" else []
 
 
-def _trial_places(row: Row) -> list[Place]:
+def _trial_places(row: Aggregate) -> list[Place]:
     metric, at = row["metric"], (row["key"], row["group"], row["model"], row["planner"])
     if metric in ("initial_mm", "pushes"):
         return []
@@ -123,7 +123,7 @@ _PATHS = {
     "consistency": ("key", "task", "block", "model", "T"),
     "edits": ("key", "task", "block", "group", "model", "T"),
 }
-_SPECIAL: dict[str, Callable[[Row], list[Place]]] = {
+_SPECIAL: dict[str, Callable[[Aggregate], list[Place]]] = {
     **dict.fromkeys(("forecast", "by_objects", "by_views"), _error_places),
     **dict.fromkeys(("ratio", "ablation"), _ratio_places),
     "capture": _capture_places,
@@ -135,9 +135,9 @@ _KEYS = {"image_forecast": "video", **dict.fromkeys(("renders", "consistency", "
 def summary(tree: Mapping[str, Any]) -> Tree:
     """The few numbers that ``dvc metrics show`` prints, from the tree of metrics.json."""
     found: Tree = {}
-    for task in TASKS:
+    for task in TASK_SPECS:
         models = tree.get(task, {}).get(VARIED, {})
-        for model in (name for name in MODELS if name in models):
+        for model in (name for name in MODEL_LABELS if name in models):
             error = models[model]["translation_mm"][str(LAST)]
             put(found, (task, "translation_mm", model), error)
         for model, ratios in _ratios(tree, task).items():
@@ -157,7 +157,7 @@ def summary(tree: Mapping[str, Any]) -> Tree:
 def headline_ratios(tree: Mapping[str, Any]) -> list[str]:
     """A line per model: its error over that of graph-XYZ at the last T, in every task."""
     parts: dict[str, list[str]] = {}
-    for task in TASKS:
+    for task in TASK_SPECS:
         for model, ratios in _ratios(tree, task).items():
             values = [
                 f"{value['ratio']:.2f} [{low:.2f}, {high:.2f}] in {metric.split('_')[0]}"
@@ -165,7 +165,9 @@ def headline_ratios(tree: Mapping[str, Any]) -> list[str]:
                 for low, high in [value["interval_95"]]
             ]
             parts.setdefault(model, []).append(f"{task} {', '.join(values)}")
-    return [f"{MODELS[model]} over graph-XYZ: {'; '.join(each)}." for model, each in parts.items()]
+    return [
+        f"{MODEL_LABELS[model]} over graph-XYZ: {'; '.join(each)}." for model, each in parts.items()
+    ]
 
 
 def _ratios(tree: Mapping[str, Any], task: str) -> dict[str, Tree]:

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterable
 
-from oes.schema import MODELS, VARIANTS
+from oes.schema import MODEL_LABELS, VARIANT_LABELS
 
 OURS, BASELINE, CONTACT = "oes", "graph_xyz", "contact"
 VARIED, FIXED = "1view_pred", "fixed_pred"
-HORIZONS = (1, 3, 5)
-LAST = HORIZONS[-1]
+SHOWN_T = (1, 3, 5)
+LAST = SHOWN_T[-1]
 
 SETTINGS = {
     "3views_gt": "3 views, true boxes",
@@ -36,7 +36,7 @@ SOURCES = {
 }
 """References that stand beside the models in the tables of rendered futures."""
 
-EDITS = {
+EDIT_LABELS = {
     "none": "unchanged",
     "move": "one object moved",
     "resize": "one object resized",
@@ -46,7 +46,7 @@ EDITS = {
 }
 
 # Okabe and Ito's palette, distinguishable under colour blindness.
-COLOURS = {
+MODEL_COLOURS = {
     "static": "#999999",
     "graph_xyz": "#e69f00",
     "graph_xyz_image": "#56b4e9",
@@ -66,12 +66,12 @@ CONTACT_NOTE = (
 
 def label(model: str) -> str:
     """Label of a model, a variant or a reference; any other name stays as it is."""
-    return {**MODELS, **VARIANTS, **SOURCES}.get(model, model)
+    return {**MODEL_LABELS, **VARIANT_LABELS, **SOURCES}.get(model, model)
 
 
 def in_order(models: Iterable[str]) -> list[str]:
     """Distinct models in the order of the tables, then any other names alphabetically."""
-    order = [*MODELS, *VARIANTS]
+    order = [*MODEL_LABELS, *VARIANT_LABELS]
     return sorted(
         set(models), key=lambda name: (order.index(name) if name in order else len(order), name)
     )

@@ -6,7 +6,7 @@ Printed = Mapping[str, Mapping[str, tuple[float, float, float]]]
 """Model -> metric -> values at T = 1, 3, 5."""
 
 # By task and setting (Table 1: pushing, two novel objects; Table 2: falling, three to four).
-FORECAST: dict[str, dict[str, Printed]] = {
+PAPER_ERRORS: dict[str, dict[str, Printed]] = {
     "pushing": {
         "3views_gt": {
             "graph_xyz": {"translation_mm": (4.6, 32.1, 66.3), "rotation_deg": (2.8, 16.7, 26.4)},
@@ -51,7 +51,7 @@ FORECAST: dict[str, dict[str, Printed]] = {
 }
 
 # scenario -> model -> share of 50 trials that succeed (Table 3 and appendix C.3)
-CONTROL: dict[str, dict[str, float]] = {
+PAPER_SUCCESS: dict[str, dict[str, float]] = {
     "targets": {
         "graph_xyz": 0.76,
         "graph_xyz_image": 0.70,

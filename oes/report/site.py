@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from oes.report.aggregates import records
+from oes.report.aggregates import as_dicts
 from oes.report.names import (
     BASELINE,
     CONTACT,
@@ -37,7 +37,7 @@ class Fact:
 def facts(frame: pd.DataFrame) -> list[Fact]:
     """The headline numbers of the frame: ratios, average precision, success of trials."""
     found = []
-    for row in records(frame):
+    for row in as_dicts(frame):
         model, task, mean = label(row["model"]), row["task"].capitalize(), row["mean"]
         match row["block"], row["model"], row["metric"]:
             case "ratio", str(), "translation_mm":

@@ -5,25 +5,25 @@ from typing import Any
 
 import pandas as pd
 
-from oes.report.aggregates import DEEP_MM, DIVERGED_MM, Row, records
-from oes.report.inputs import FIRST, TASKS
+from oes.report.aggregates import DEEP_MM, DIVERGED_MM, Aggregate, as_dicts
+from oes.report.inputs import FIRST, TASK_SPECS
 from oes.report.names import (
     BASELINE,
     CONTACT,
     CONTACT_NOTE,
-    EDITS,
-    HORIZONS,
+    EDIT_LABELS,
     LAST,
     METRICS,
     OURS,
     SCENARIOS,
     SETTINGS,
+    SHOWN_T,
     VARIED,
     label,
 )
 from oes.report.table import Table, TableGroup
 
-Line = Mapping[Any, Row]  # the rows of one printed line
+Line = Mapping[Any, Aggregate]  # the rows of one printed line
 Cell = Callable[[Line], str]
 ERROR_INDEX = {"model": "model", "error": "metric"}
 
@@ -94,7 +94,7 @@ EDIT_NOTE = (
 def all_groups(frame: pd.DataFrame) -> dict[str, TableGroup]:
     """All groups that have rows, by name."""
     groups: list[TableGroup] = []
-    for task in TASKS:
+    for task in TASK_SPECS:
         groups += forecast_groups(frame, task)
     for scenario in dict.fromkeys(_block(frame, "mpc")["group"]):
         groups.append(trial_group(frame, str(scenario)))
@@ -102,7 +102,7 @@ def all_groups(frame: pd.DataFrame) -> dict[str, TableGroup]:
         ablation_group(frame),
         calibration_group(frame),
         plausibility_group(frame),
-        *(detector_group(frame, task) for task in TASKS),
+        *(detector_group(frame, task) for task in TASK_SPECS),
         view_group(frame),
         image_forecast_group(frame),
         *futures_groups(frame),
@@ -114,7 +114,7 @@ def all_groups(frame: pd.DataFrame) -> dict[str, TableGroup]:
 
 def forecast_groups(frame: pd.DataFrame, task: str) -> list[TableGroup]:
     """Errors by setting, by number of objects and of views, and ratios, of one task."""
-    spec, groups = TASKS[task], []
+    spec, groups = TASK_SPECS[task], []
     rows, ratios = (_block(frame, block, task) for block in ("forecast", "ratio"))
     for objects, ending, about in (("all", "", ""), ("moved", "-moved", ", moved objects")):
         own = _of(rows, objects=objects)
@@ -134,15 +134,17 @@ def forecast_groups(frame: pd.DataFrame, task: str) -> list[TableGroup]:
         title = f"Error by number of {name}, {task} (predicted boxes), T = {LAST}"
         file = block.replace("_", "-") + spec.suffix
         groups.append(_group(file, title, [table], own, ERROR_NOTE))
-    index = {"model": "model", "over": "against", "input": "group", "error": "metric"}
-    table = _grid("Ratio of mean errors", ratios, index, "T", RATIOS_AT_T)
+    pairs = zip(ratios["model"], ratios["against"], strict=True)
+    shown = ratios.assign(pair=[f"{label(a)} / {label(b)}" for a, b in pairs])
+    index = {"models": "pair", "input": "group", "error": "metric"}
+    table = _grid("Ratio of mean errors", shown, index, "T", RATIOS_AT_T)
     title = f"Error over the error of other models, {task}"
     groups.append(_group(f"ratios{spec.suffix}", title, [table], ratios, RATIO_NOTE))
     return [group for group in groups if len(group.rows)]
 
 
 def _error_table(rows: pd.DataFrame, caption: str) -> Table:
-    counts = sorted({(row["n"], row["episodes"]) for row in records(rows)})
+    counts = sorted({(row["n"], row["episodes"]) for row in as_dicts(rows)})
     about = " or ".join(f"{n} objects of {episodes} episodes" for n, episodes in counts)
 
     def printed(by_T: Line) -> str:
@@ -166,7 +168,7 @@ def ablation_group(frame: pd.DataFrame) -> TableGroup:
     main = _of(_block(frame, "forecast", FIRST.name), group=VARIED, objects="all")
     both = main[main["model"].isin([OURS, CONTACT])] if len(variants) else main[:0]
     rows = pd.concat([both, variants], ignore_index=True)
-    columns = {name: _interval((T, "")) for T, name in zip(HORIZONS, AT_T, strict=True)}
+    columns = {name: _interval((T, "")) for T, name in zip(SHOWN_T, AT_T, strict=True)}
     columns[f"over Contact, T={LAST}"] = _interval((LAST, CONTACT), 2)
     table = _grid("Contact and its variants", rows, ERROR_INDEX, ("T", "against"), columns)
     return _group("ablations", "Ablations of Contact, pushing", [table], rows, ABLATION_NOTE)
@@ -250,7 +252,7 @@ def detector_group(frame: pd.DataFrame, task: str) -> TableGroup:
         ),
     }
     table = _grid("Novel objects", rows, {"input": "group"}, "metric", columns)
-    return _group(f"detector{TASKS[task].suffix}", f"Detection in 3D, {task}", [table], rows)
+    return _group(f"detector{TASK_SPECS[task].suffix}", f"Detection in 3D, {task}", [table], rows)
 
 
 def view_group(frame: pd.DataFrame) -> TableGroup:
@@ -335,7 +337,7 @@ def data_group(frame: pd.DataFrame) -> TableGroup:
 def results_table(tree: Mapping[str, Any]) -> Table:
     """One row per model over all tasks, from the tree of metrics.json (see ``readme``)."""
     models = ("static", "planet", "visual_foresight", "graph_xyz_image", BASELINE, OURS)
-    pushing, falling = (tree.get(task, {}).get(VARIED, {}) for task in TASKS)
+    pushing, falling = (tree.get(task, {}).get(VARIED, {}) for task in TASK_SPECS)
 
     def error(found: Mapping[str, Any], model: str, T: int) -> str:
         if model not in found:
@@ -350,7 +352,7 @@ def results_table(tree: Mapping[str, Any]) -> Table:
     cells = [
         (
             label(model),
-            *(error(pushing, model, T) for T in HORIZONS),
+            *(error(pushing, model, T) for T in SHOWN_T),
             error(falling, model, LAST),
             *(success(scenario, model) for scenario in ("targets", "obstacle")),
         )
@@ -379,8 +381,8 @@ def _grid(
     """A line for each value of the ``index`` columns; cells print the rows of a line, keyed ``by``
     the remaining column or two.
     """
-    lines: dict[tuple[Any, ...], dict[Any, Row]] = {}
-    for row in records(rows):
+    lines: dict[tuple[Any, ...], dict[Any, Aggregate]] = {}
+    for row in as_dicts(rows):
         line = lines.setdefault(tuple(row[name] for name in index.values()), {})
         line[row[by] if isinstance(by, str) else tuple(row[name] for name in by)] = row
     cells = tuple(
@@ -391,9 +393,9 @@ def _grid(
 
 
 def _text(column: str, value: object) -> str:
-    if column in ("model", "against"):
+    if column == "model":
         return label(str(value))
-    return {**METRICS, **SETTINGS, **EDITS}.get(str(value), str(value))
+    return {**METRICS, **SETTINGS, **EDIT_LABELS}.get(str(value), str(value))
 
 
 def _value(key: object, digits: int, field: str = "mean", kind: str = "f") -> Cell:
@@ -436,5 +438,5 @@ def _of(rows: pd.DataFrame, **equal: object) -> pd.DataFrame:
     return rows
 
 
-AT_T = {f"T={T}": _interval(T) for T in HORIZONS}
-RATIOS_AT_T = {f"T={T}": _interval(T, 2) for T in HORIZONS}
+AT_T = {f"T={T}": _interval(T) for T in SHOWN_T}
+RATIOS_AT_T = {f"T={T}": _interval(T, 2) for T in SHOWN_T}
