@@ -102,11 +102,7 @@ class BackgroundField(nn.Module):
 
 
 class ViewDecoder(nn.Module):
-    """Composites scene map and background along rays; a 2D network refines the colours.
-
-    The methods take the ``near`` field (scene map), the ``far`` field (background), the cameras
-    (one for each of B scenes) and the image ``size`` (height, width), divisible by the stride.
-    """
+    """Composites scene map and background along rays; a 2D network refines the colours."""
 
     def __init__(self, cfg: DecoderConfig, map_channels: int) -> None:
         super().__init__()
@@ -118,32 +114,25 @@ class ViewDecoder(nn.Module):
 
     def forward(
         self, near: Field, far: Field, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
-    ) -> Tensor:
-        """RGB BHW3, about [0, 1]."""
-        return self._refine(self._render(near, far, K_B33, world_T_cam_B44, size), size)
-
-    def rgbd(
-        self, near: Field, far: Field, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
     ) -> tuple[Tensor, Tensor]:
-        """RGB BHW3, and the expected depth BHW (z, metres), constant in each block of pixels."""
-        blocks = self._render(near, far, K_B33, world_T_cam_B44, size)
-        opacity, distance = blocks[:, -NUM_RAY_CHANNELS], blocks[:, 1 - NUM_RAY_CHANNELS]
-        cosine = (blocks[:, -3:] * world_T_cam_B44[:, :3, 2, None, None]).sum(1)
-        depth = cosine * distance / opacity.clamp(min=MIN_OPACITY)
-        stride = self.cfg.stride_px
-        depth = depth.repeat_interleave(stride, 1).repeat_interleave(stride, 2)
-        return self._refine(blocks, size), depth
+        """RGB BHW3, about [0, 1], and expected depth BHW (z, metres) of one camera for each scene.
 
-    def _render(
-        self, near: Field, far: Field, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
-    ) -> Tensor:
-        """Images BCHW of ``_trace``, one pixel per block."""
-        height, width = size[0] // self.cfg.stride_px, size[1] // self.cfg.stride_px
+        ``near``: the scene map. ``far``: the background. ``size``: (height, width), divisible by
+        the stride. Depth is constant in each block of pixels.
+        """
+        stride = self.cfg.stride_px
+        shape = (size[0] // stride, size[1] // stride)
         # bfloat16 has too few digits for ray directions and sums of optical thickness.
         with torch.autocast(K_B33.device.type, enabled=False):
-            pixels = rays.camera_rays(K_B33, world_T_cam_B44, (height, width), self.cfg.stride_px)
+            pixels = rays.camera_rays(K_B33, world_T_cam_B44, shape, stride)
             traced_BPC = self._trace(near, far, pixels)
-            return traced_BPC.transpose(1, 2).reshape(len(K_B33), -1, height, width)
+            blocks = traced_BPC.transpose(1, 2).reshape(len(K_B33), -1, *shape)
+        opacity, distance = blocks[:, -NUM_RAY_CHANNELS], blocks[:, 1 - NUM_RAY_CHANNELS]
+        # The cosine to the optical axis turns ray length into z.
+        cosine = (blocks[:, -3:] * world_T_cam_B44[:, :3, 2, None, None]).sum(1)
+        depth = cosine * distance / opacity.clamp(min=MIN_OPACITY)
+        depth = depth.repeat_interleave(stride, 1).repeat_interleave(stride, 2)
+        return self._refine(blocks, size), depth
 
     def _refine(self, blocks_BCHW: Tensor, size: tuple[int, int]) -> Tensor:
         """RGB BHW3: the upsampled colours of the blocks (channels 0 to 2) plus a residual."""

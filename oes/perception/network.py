@@ -146,11 +146,14 @@ class PerceptionNet(nn.Module):
         kept = good[kept]
         return centers_N3[kept], sizes_N3[kept], scores_N[kept]
 
+    def fields(self, scene: SceneFeatures) -> tuple[Field, Field]:
+        """Fields to render: the scene map and the background around it."""
+        near = Field(self.scene_map(scene), self.cfg.grid)
+        return near, self.background(scene.views, scene.features_BVHWC)
+
     def render(
         self, scene: SceneFeatures, K_B33: Tensor, world_T_cam_B44: Tensor, size: tuple[int, int]
     ) -> Tensor:
         """Predicted RGB BHW3, about [0, 1], from other cameras."""
-        near = Field(self.scene_map(scene), self.cfg.grid)
-        far = self.background(scene.views, scene.features_BVHWC)
-        image: Tensor = self.decoder(near, far, K_B33, world_T_cam_B44, size)
-        return image
+        rgb: Tensor = self.decoder(*self.fields(scene), K_B33, world_T_cam_B44, size)[0]
+        return rgb

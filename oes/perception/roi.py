@@ -66,21 +66,7 @@ class RoiHead(nn.Module):
     ) -> RoiOutput:
         """``coarse``: scene features BCXYZ and their grid. ``boxes``: centres BN3, sizes BN3."""
         batch, count = boxes[0].shape[:2]
-        x = self.net(self._inputs(views, features_BVHWC, coarse, boxes))
-        mask = unfold(self.mask(x)).float().reshape(batch, count, *self.window.shape)
-        out = self.box(F.relu(self.shrink(x)).flatten(1)).float().reshape(batch, count, -1)
-        return RoiOutput(mask, out[..., :BOX_CHANNELS], out[..., BOX_CHANNELS])
-
-    def _inputs(
-        self,
-        views: Views,
-        features_BVHWC: Tensor,
-        coarse: tuple[Tensor, Grid],
-        boxes: tuple[Tensor, Tensor],
-    ) -> Tensor:
-        """(BN)CXYZ at half resolution: folded lift, context, position in the box, height."""
         center, size = (value[:, :, None, None, None] for value in boxes)
-        batch, count = center.shape[:2]
         points = center[..., None, :] + self.offsets
         lifted = lift(self.lift_cfg, views, features_BVHWC, points.reshape(batch, -1, 3))
         blocks = points.mean(dim=-2)
@@ -92,4 +78,7 @@ class RoiHead(nn.Module):
             part.reshape(batch * count, *self.offsets.shape[:3], -1).to(lifted.dtype)
             for part in (lifted, context, extra)
         ]
-        return torch.cat(parts, dim=-1).movedim(-1, 1)
+        x = self.net(torch.cat(parts, dim=-1).movedim(-1, 1))
+        mask = unfold(self.mask(x)).float().reshape(batch, count, *self.window.shape)
+        out = self.box(F.relu(self.shrink(x)).flatten(1)).float().reshape(batch, count, -1)
+        return RoiOutput(mask, out[..., :BOX_CHANNELS], out[..., BOX_CHANNELS])

@@ -6,7 +6,7 @@ nothing: the network sees the world only through camera poses and depths.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -102,20 +102,18 @@ class Sampler:
         rng = np.random.default_rng((self.seed, step))
         num_views = int(rng.choice(len(self.cfg.views_share), p=self.cfg.views_share)) + 1
         # All transforms are drawn before the samples: part of the order of random numbers.
-        transforms = [
+        worlds = [
             IDENTITY if i < self.num_untransformed else random_world_transform(self.cfg, rng)
             for i in range(self.batch)
         ]
-        return collate([self._random(num_views, world, rng) for world in transforms])
-
-    def _random(
-        self, num_views: int, world: WorldTransform, rng: np.random.Generator
-    ) -> PerceptionBatch:
-        episode_i = int(rng.choice(self.episode_is))
-        steps = self.source.episodes[episode_i].steps
-        step_i = int(rng.integers(len(steps)))
-        cameras = rng.choice(len(steps[step_i].cameras), num_views + 1, replace=False)
-        return self.sample(episode_i, step_i, cameras.tolist(), world, rng)
+        samples = []
+        for world in worlds:
+            episode_i = int(rng.choice(self.episode_is))
+            steps = self.source.episodes[episode_i].steps
+            step_i = int(rng.integers(len(steps)))
+            camera_is = rng.choice(len(steps[step_i].cameras), num_views + 1, replace=False)
+            samples.append(self.sample(episode_i, step_i, camera_is.tolist(), world, rng))
+        return collate(samples)
 
     def sample(
         self,
@@ -168,22 +166,22 @@ def collate(samples: Sequence[PerceptionBatch]) -> PerceptionBatch:
     # At least one, so that later reductions over objects are never over an empty axis.
     count = max(1, *(sample.valid_BN.shape[1] for sample in samples))
 
-    def padded(sample: PerceptionBatch) -> PerceptionBatch:
-        def pad(x: Tensor, value: float | Sequence[float]) -> Tensor:
-            shape = (1, count - x.shape[1], *x.shape[2:])
-            return torch.cat([x, x.new_tensor(value).expand(shape)], dim=1)
+    def pad(x: Tensor, value: float | tuple[float, ...]) -> Any:
+        shape = (1, count - x.shape[1], *x.shape[2:])
+        return torch.cat([x, x.new_tensor(value).expand(shape)], dim=1)
 
-        # Padded regions are a box on the table: the second stage learns to score it 0. NaN points
-        # fall into no voxel.
-        return replace(
-            sample,
-            center_BN3=pad(sample.center_BN3, 0.0),
-            size_BN3=pad(sample.size_BN3, 1.0),
-            valid_BN=pad(sample.valid_BN, False),
-            object_points_BNP3=pad(sample.object_points_BNP3, torch.nan),
-            region_center_BN3=pad(sample.region_center_BN3, (0.0, 0.0, 0.04)),
-            region_size_BN3=pad(sample.region_size_BN3, 0.1),
-        )
-
-    first, *others = map(padded, samples)
+    # Padded regions are a box on the table: the second stage learns to score it 0. NaN points fall
+    # into no voxel.
+    values: dict[str, float | tuple[float, ...]] = {
+        "center_BN3": 0.0,
+        "size_BN3": 1.0,
+        "valid_BN": False,
+        "object_points_BNP3": torch.nan,
+        "region_center_BN3": (0.0, 0.0, 0.04),
+        "region_size_BN3": 0.1,
+    }
+    first, *others = (
+        replace(x, **{name: pad(getattr(x, name), value) for name, value in values.items()})
+        for x in samples
+    )
     return map_tensors(first, lambda *x: torch.cat(x), *others)

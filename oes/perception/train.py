@@ -8,13 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from oes.config import params
-from oes.perception.evaluate import (
-    PerceptionRow,
-    detection_rows,
-    detection_summary,
-    gt_objects,
-    view_row,
-)
+from oes.perception import evaluate
 from oes.perception.losses import LOSS_TERMS, PerceptionBatch, losses
 from oes.perception.network import PerceptionNet, PerceptionNetConfig
 from oes.perception.perceiver import Perceiver
@@ -100,17 +94,19 @@ def validation_metrics(
     """``val_...``: detection and view prediction from one view of each episode's first state."""
     assert isinstance(net, PerceptionNet)
     perceiver = Perceiver(net, device)
-    rows: list[PerceptionRow] = []
-    views: list[PerceptionRow] = []
+    rows: list[evaluate.PerceptionRow] = []
+    views: list[evaluate.PerceptionRow] = []
     for episode_i in episode_is:
         # Seeded by the episode: the same cameras at every checkpoint, and no effect on training.
         rng = np.random.default_rng(episode_i)
         episode = source.episodes[episode_i]
         camera_is = rng.choice(len(episode.steps[0].cameras), 2, replace=False).tolist()
         scene = perceiver.encode(*source.read(episode_i, 0, camera_is[:1]))
-        truth = gt_objects(episode, 0, solids)
-        rows += [row | {"episode": episode_i} for row in detection_rows(perceiver, scene, truth)]
+        truth = evaluate.gt_objects(episode, 0, solids)
+        found = evaluate.detection_rows(perceiver, scene, truth)
+        rows += [row | {"episode": episode_i} for row in found]
         frames, (camera,) = source.read(episode_i, 0, camera_is[1:])
-        views.append(view_row(perceiver, scene, frames, camera))
+        views.append(evaluate.view_row(perceiver, scene, frames, camera))
     means = {name: float(np.mean([row[name] or 0.0 for row in views])) for name in views[0]}
-    return {f"val_{name}": value for name, value in (detection_summary(rows) | means).items()}
+    metrics = evaluate.detection_summary(rows) | means
+    return {f"val_{name}": value for name, value in metrics.items()}
