@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from oes.geom.boxes import support_height, aabb, iou
+from oes.geom.boxes import aabb, iou, support_height
 from oes.geom.camera import intrinsics, look_at, project, unproject
 from oes.geom.se3 import from_quat_xyzw, inverse, quat_xyzw, rigid, rotation_z, transform
 
