@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from oes.episode import Pixels
 from oes.report.figures import Media
 from oes.report.names import BASELINE, OURS
 from oes.report.rows import RowsError
 from oes.schema import MODEL_LABELS
-from oes.viz.overlay import INK, Pixels
+from oes.viz.overlay import INK
 from oes.viz.video import write_gif, write_video
 
 SHOWN = (OURS, BASELINE)

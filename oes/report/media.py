@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
+from oes.episode import Pixels
 from oes.report.figures import Media
 from oes.report.inputs import Inputs, TablesConfig
 from oes.report.names import OURS, SCENARIOS, label
 from oes.schema import IMAGE_MODELS, VARIANT_LABELS
 from oes.training.compact_weights import write_compact
-from oes.viz.overlay import Pixels
 from oes.viz.video import write_video
 
 LARGE_BYTES = 500_000
