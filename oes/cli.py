@@ -9,10 +9,11 @@ from collections.abc import Callable, Sequence
 from typing import get_type_hints
 
 from oes.config import PARAMS, load
+from oes.episode import TASKS
 
 log = logging.getLogger(__name__)
 
-TASKS = ("pushing", "falling")
+
 SPLITS = ("train", "test1", "test2", "test3", "test4", "test5")
 FLAGS: dict[str, tuple[str, Sequence[str] | None]] = {
     "task": ("task of the episodes", TASKS),

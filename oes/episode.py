@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
+Pixels = NDArray[np.uint8]
 
 PUSHING, FALLING = "pushing", "falling"  # the tasks
 TASKS = (PUSHING, FALLING)
 
 SEG_NOTHING, SEG_TABLE, SEG_ROBOT, SEG_FIRST_OBJECT = 0, 1, 2, 3
+TABLE, ROBOT, FIRST_OBJECT = 0, 1, 2  # rows of Step.contact_AA
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {remaining} left{postfix}"
 
 
 class _LogLines(tqdm):  # type: ignore[misc]
-    """A bar for log files: one line every few seconds instead of a line that is redrawn."""
+    """A bar for log files: one line every few seconds instead of one that is overwritten."""
 
     def display(self, *_: Any, **__: Any) -> bool:
         log.info(str(self).strip())

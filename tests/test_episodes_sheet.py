@@ -15,7 +15,15 @@ from PIL import Image
 from oes.episode import Episode
 from oes.episodes.index import write_index
 from oes.episodes.motion import contact_pairs, displacement_mm
-from oes.episodes.sheet import COLOURS, charts, depth_image, draw_boxes, main, mosaic, seg_image
+from oes.episodes.sheet import (
+    OBJECT_COLOURS,
+    charts,
+    depth_image,
+    draw_boxes,
+    main,
+    mosaic,
+    seg_image,
+)
 from oes.record import EpisodeError, read_episode, write_episode
 from oes.record.dataset import read_states
 from tests.factories import make_episode, make_frames
@@ -154,10 +162,10 @@ def test_charts_show_the_objects_and_their_contacts() -> None:
 
     above, displacement, contacts = np.array_split(image, 3, axis=1)
     assert count("#111111", above) > 20
-    for colour in COLOURS[:2]:
+    for colour in OBJECT_COLOURS[:2]:
         assert count(colour, above) > 20 and count(colour, displacement) > 20
-    assert count(COLOURS[0], contacts) == 0
-    assert count(COLOURS[1], contacts) > 1000
+    assert count(OBJECT_COLOURS[0], contacts) == 0
+    assert count(OBJECT_COLOURS[1], contacts) > 1000
 
 
 def test_index_has_a_row_per_episode_and_links_to_the_sheets_that_exist(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from oes.config import ParamsError, from_json, load, to_json
-from oes.episode import Body, Floats
+from oes.episode import FIRST_OBJECT, ROBOT, TABLE, Body, Floats
 from oes.geom.boxes import aabb
 from oes.geom.camera import project
 from oes.geom.se3 import inverse, rigid, rotation_z, transform
@@ -25,7 +25,7 @@ from oes.sim.pushing import PushWorld
 from oes.sim.rig import rig
 from oes.sim.robot import robot_shape
 from oes.sim.simulate import EpisodesConfig
-from oes.sim.world import FIRST_OBJECT, ROBOT, TABLE, SimConfig, World, count_steps
+from oes.sim.world import SimConfig, World, count_steps
 
 SIM = load(Path("params.yaml"), "episodes", EpisodesConfig).sim
 ORIGIN_TIP = np.array([0.0, 0.0, SIM.robot.tip_height_m])

@@ -9,14 +9,14 @@ from PIL import Image
 
 from oes.counterfactual.compose import DecomposedScene, compose
 from oes.counterfactual.forecast import Counterfactual
-from oes.episode import Camera, Episode
+from oes.episode import Camera, Episode, Pixels
 from oes.episodes.capture import scene_renderer
 from oes.meshes.catalogue import Catalogue
 from oes.perception.perceiver import Perceiver
 from oes.record.dataset import FrameSource
 from oes.render.scene import mesh_poses
 from oes.sim.world import SimConfig
-from oes.viz.overlay import PUSH, CameraOverlay, Pixels
+from oes.viz.overlay import PUSH, CameraOverlay
 from oes.viz.video import sheet, write_video
 
 ROD_LINE_M = 0.12  # drawn above the tip

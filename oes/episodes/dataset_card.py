@@ -15,12 +15,12 @@ from matplotlib.figure import Figure
 
 from oes.episode import Episode, Floats
 from oes.episodes.capture import Failure
-from oes.episodes.motion import displacement_mm, has_object_contact, impact_T, rotation_deg
+from oes.episodes.motion import displacement_mm, has_object_contact, impact_T, object_rotation_deg
 from oes.sim.simulate import EpisodesConfig, count_rejected
 
 HORIZONS = (1, 3, 5)
 MOVED_MM = 10.0
-INK, COLOURS = "#22262b", ("#0072b2", "#e69f00", "#009e73")
+CARD_INK, CARD_COLOURS = "#22262b", ("#0072b2", "#e69f00", "#009e73")
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,9 @@ def statistics(
     first = episodes[0]
     horizons = [T for T in HORIZONS if T < len(first.steps)]
     moved_mm = {str(T): [displacement_mm(episode, T) for episode in episodes] for T in horizons}
-    turned_deg = {str(T): [rotation_deg(episode, T) for episode in episodes] for T in horizons}
+    turned_deg = {
+        str(T): [object_rotation_deg(episode, T) for episode in episodes] for T in horizons
+    }
     all_mm = {T: np.concatenate(values) for T, values in moved_mm.items()}
     most_mm = {T: np.array([value.max() for value in values]) for T, values in moved_mm.items()}
     return DatasetCard(
@@ -157,15 +159,15 @@ def _motion_cause(card: DatasetCard) -> str:
 
 def _figure(card: DatasetCard) -> Figure:
     """Histogram of the displacements at each T, and how often each mesh is used."""
-    with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 8, "text.color": INK}):
+    with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 8, "text.color": CARD_INK}):
         figure = Figure(figsize=(10, 4.2), layout="constrained")
         left, right = figure.subplots(1, 2)
         edges = np.linspace(0, max(map(max, card.displacements_mm.values())) + 1, 41)
-        for (T, values), colour in zip(card.displacements_mm.items(), COLOURS, strict=False):
+        for (T, values), colour in zip(card.displacements_mm.items(), CARD_COLOURS, strict=False):
             left.hist(values, edges, histtype="step", linewidth=1.6, color=colour, label=f"T = {T}")
         left.set(xlabel="displacement of an object, mm", ylabel="objects", yscale="symlog")
         left.legend(frameon=False)
-        right.barh(range(len(card.meshes)), list(card.meshes.values()), color=COLOURS[0])
+        right.barh(range(len(card.meshes)), list(card.meshes.values()), color=CARD_COLOURS[0])
         right.set_yticks(range(len(card.meshes)), list(card.meshes), parse_math=False)
         right.set(xlabel="times used")
         right.tick_params(axis="y", labelsize=6)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from oes.episode import Episode
-from oes.episodes.motion import ROD, contact_pairs, displacement_mm
+from oes.episodes.motion import ROBOT, contact_pairs, displacement_mm
 from oes.episodes.sheet import data_uri, render_html, write_sheet
 from oes.progress import progress_bar
 from oes.record.reader import list_episodes, read_frames
@@ -39,8 +39,8 @@ def write_index(folder: Path, episodes: Sequence[Episode], camera_i: int, num_sh
             "strip": strip,
             "episode": episode,
             "moved_mm_N": displacement_mm(episode, len(episode.steps) - 1).tolist(),
-            "rod_contacts": sum(a == ROD for a, _ in pairs),
-            "object_contacts": sum(a > ROD for a, _ in pairs),
+            "rod_contacts": sum(a == ROBOT for a, _ in pairs),
+            "object_contacts": sum(a > ROBOT for a, _ in pairs),
         }
         rows.append(row)
     # Not the folder's name, which is a digest until the stage is done.

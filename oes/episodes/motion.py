@@ -4,10 +4,8 @@ from itertools import combinations
 
 import numpy as np
 
-from oes.episode import Episode, Floats
+from oes.episode import FIRST_OBJECT, ROBOT, Episode, Floats
 from oes.metrics import errors
-
-ROD, FIRST_OBJECT = 1, 2  # rows of Step.contact_AA; row 0 is the table
 
 
 def displacement_mm(episode: Episode, T: int) -> Floats:
@@ -21,7 +19,7 @@ def displacement_mm(episode: Episode, T: int) -> Floats:
     return errors.translation_mm(moved_N3, first.center_N3)
 
 
-def rotation_deg(episode: Episode, T: int) -> Floats:
+def object_rotation_deg(episode: Episode, T: int) -> Floats:
     """Angle N by which each object has rotated after T actions."""
     first, step = episode.steps[0], episode.steps[T]
     return errors.rotation_deg(step.world_T_obj_N44[:, :3, :3], first.world_T_obj_N44[:, :3, :3])
@@ -40,4 +38,4 @@ def has_object_contact(episode: Episode) -> bool:
 def contact_pairs(episode: Episode) -> list[tuple[int, int]]:
     """Pairs of bodies (rows of ``contact_AA``) that ever touched, other than with the table."""
     ever_AA = np.any([step.contact_AA for step in episode.steps], axis=0)
-    return [(a, b) for a, b in combinations(range(ROD, len(ever_AA)), 2) if ever_AA[a, b]]
+    return [(a, b) for a, b in combinations(range(ROBOT, len(ever_AA)), 2) if ever_AA[a, b]]

@@ -23,16 +23,23 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
 
-from oes.episode import SEG_FIRST_OBJECT, SEG_ROBOT, SEG_TABLE, Camera, Episode, Floats
-from oes.episodes.motion import FIRST_OBJECT, contact_pairs, displacement_mm
+from oes.episode import (
+    FIRST_OBJECT,
+    SEG_FIRST_OBJECT,
+    SEG_ROBOT,
+    SEG_TABLE,
+    Camera,
+    Episode,
+    Floats,
+    Pixels,
+)
+from oes.episodes.motion import contact_pairs, displacement_mm
 from oes.geom.camera import project
 from oes.record.errors import EpisodeError
 from oes.record.reader import read_episode, read_frames
 
-Pixels = NDArray[np.uint8]
-
 SEG_COLOURS = {0: "#ffffff", SEG_TABLE: "#d8d2c8", SEG_ROBOT: "#6b6b6b"}
-COLOURS = ("#e4572e", "#2878b5", "#5b9a3c", "#d9a400", "#8e5ea2", "#3aa6a0", "#b0416a")
+OBJECT_COLOURS = ("#e4572e", "#2878b5", "#5b9a3c", "#d9a400", "#8e5ea2", "#3aa6a0", "#b0416a")
 TABLE_M = 0.6
 NUM_COLUMNS = 9
 CORNERS_83 = np.array(list(product((-0.5, 0.5), repeat=3)))
@@ -160,7 +167,7 @@ def charts(episode: Episode) -> Pixels:
 
 
 def _colour(object_i: int) -> str:
-    return COLOURS[object_i % len(COLOURS)]
+    return OBJECT_COLOURS[object_i % len(OBJECT_COLOURS)]
 
 
 def _rgb(colour: str) -> list[int]:

@@ -6,7 +6,7 @@ from scipy.spatial import KDTree
 
 from oes.episode import Floats
 
-GRID_M = 0.004
+FIELD_CELL_M = 0.004
 NUM_CORNERS = 16  # vertices of the polygon around each obstacle
 SAMPLES_PER_EDGE = 24  # points of an edge that are tested for collision
 COLLISION_PENALTY = 20.0  # extra length of an edge, per metre that lies too close to an obstacle
@@ -18,7 +18,7 @@ class DistanceField:
     def __init__(self, points_P2: Floats, cell_m: float, half_m: float) -> None:
         """``points_P2``: occupied cells of side ``cell_m``; ``half_m``: the table's half width."""
         self.half_m, self.is_empty = half_m, not len(points_P2)
-        axis = np.arange(-half_m, half_m + GRID_M, GRID_M)
+        axis = np.arange(-half_m, half_m + FIELD_CELL_M, FIELD_CELL_M)
         self._distance_XY: Floats = np.full((len(axis), len(axis)), np.inf)
         if not self.is_empty:
             nodes_XY2 = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1)
@@ -28,7 +28,7 @@ class DistanceField:
     def __call__(self, xy: Floats) -> Floats:
         """Distances ... of points ...2; a point beyond the table takes the value at its edge."""
         # Nearest-neighbour lookup: the error is below GRID_M, less than the planning margin.
-        index = np.rint((xy + self.half_m) / GRID_M).astype(int)
+        index = np.rint((xy + self.half_m) / FIELD_CELL_M).astype(int)
         index = index.clip(0, len(self._distance_XY) - 1)
         return np.asarray(self._distance_XY[index[..., 0], index[..., 1]])
 
@@ -70,7 +70,7 @@ class GeodesicDistance:
     def _corners(self, center_2: Floats, radius_m: float) -> Floats:
         angle = np.arange(NUM_CORNERS) * (2 * np.pi / NUM_CORNERS)
         # Circumscribed polygon: its sides, not only its corners, clear the obstacle.
-        distance = (radius_m + self.radius_m + GRID_M) / np.cos(np.pi / NUM_CORNERS)
+        distance = (radius_m + self.radius_m + FIELD_CELL_M) / np.cos(np.pi / NUM_CORNERS)
         corner_P2 = center_2 + distance * np.stack([np.cos(angle), np.sin(angle)], -1)
         limit_m = self.clearance.half_m - self.radius_m
         return np.asarray(corner_P2[(np.abs(corner_P2) <= limit_m).all(-1)])

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from oes.episode import Floats
 from oes.jit import jit
-from oes.render.raster import Ints
+from oes.render.raster import Ints32
 
 SMOOTH_COSINE = float(np.cos(np.radians(40)))  # faces at a smaller angle are one smooth surface
 MERGE_M = 1e-5
@@ -15,7 +15,7 @@ MERGE_M = 1e-5
 Int64s = NDArray[np.int64]
 
 
-def normal_maps(vertices_P3: NDArray[np.float32], faces_F3: Ints) -> Floats:
+def normal_maps(vertices_P3: NDArray[np.float32], faces_F3: Ints32) -> Floats:
     """Maps F44: rows 0 to 2, affine from a point of a face to its shading normal; row 3, the face's
     own normal. All in the obj frame, of any length.
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from oes.episode import Floats
 from oes.jit import jit
 
-Ints = NDArray[np.int32]
+Ints32 = NDArray[np.int32]
 Indices = NDArray[np.uint32]  # unsigned: numba then omits the test for negative ones
 
 NEAR_M = 0.01
@@ -24,16 +24,16 @@ class Geometry(NamedTuple):
     """
 
     vertices_P3: Floats
-    start_A: Ints
+    start_A: Ints32
     faces_F3: Indices
-    body_F: Ints
+    body_F: Ints32
     normal_F44: Floats
 
 
 @jit
 def rasterise(
     geometry: Geometry, cam_T_body_A44: Floats, K_33: Floats, size_px: tuple[int, int]
-) -> tuple[Floats, Ints]:
+) -> tuple[Floats, Ints32]:
     """Depth (H W, m, 0 = nothing) and triangle (H W, -1 = nothing) at every pixel centre.
 
     Triangles are two-sided; nothing nearer than ``NEAR_M`` and none without area is drawn.
@@ -52,7 +52,7 @@ def rasterise(
 @jit
 def project_vertices(
     geometry: Geometry, cam_T_body_A44: Floats, K_33: Floats, size_px: tuple[int, int]
-) -> tuple[Floats, Floats, Ints]:
+) -> tuple[Floats, Floats, Ints32]:
     """Vertices in cam (P3, m), in the image (P3: u - 1/2, v - 1/2, 1/z) and their cells (P2).
 
     A cell (column, row) is the first pixel centre at or beyond the vertex, clipped to the image. A
@@ -81,7 +81,7 @@ def project_vertices(
 
 
 @jit
-def covering_faces(cell_P2: Ints, faces_F3: Indices) -> tuple[Indices, Indices]:
+def covering_faces(cell_P2: Ints32, faces_F3: Indices) -> tuple[Indices, Indices]:
     """Triangles that may cover a pixel centre: those before the near plane, and those across it.
 
     Most triangles of an arm or a mug seen from 1 m are smaller than a pixel and cover none.
@@ -105,11 +105,11 @@ def covering_faces(cell_P2: Ints, faces_F3: Indices) -> tuple[Indices, Indices]:
 @jit
 def fill_triangles(
     pix_P3: Floats,
-    cell_P2: Ints,
+    cell_P2: Ints32,
     faces_F3: Indices,
     whole_F: Indices,
     inv_z_HW: Floats,
-    face_HW: Ints,
+    face_HW: Ints32,
 ) -> None:
     """Draw triangles that are wholly before the near plane, by barycentric weights a, b, c."""
     for face_i in whole_F:
@@ -144,7 +144,7 @@ def fill_triangles(
 
 @jit
 def fill_crossing(
-    cam_P3: Floats, K_33: Floats, faces_F3: Indices, face_i: int, inv_z_HW: Floats, face_HW: Ints
+    cam_P3: Floats, K_33: Floats, faces_F3: Indices, face_i: int, inv_z_HW: Floats, face_HW: Ints32
 ) -> None:
     """Draw one triangle that crosses the near plane, by the intersection of every pixel's ray.
 

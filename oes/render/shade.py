@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from oes.episode import Floats
 from oes.jit import jit
-from oes.render.raster import Geometry, Ints, affine, linear
+from oes.render.raster import Geometry, Ints32, affine, linear
 
 PLAIN, CHECKER, STRIPES, NOISE, GRADIENT, WOOD = 0, 1, 2, 3, 4, 5
 
@@ -20,7 +20,7 @@ HORIZON_RGB_3, ZENITH_RGB_3 = np.array([0.90, 0.92, 0.94]), np.array([0.62, 0.70
 LATTICE_SIZE = 4096
 LATTICE = np.random.default_rng(0).random(LATTICE_SIZE)
 PLANKS_PER_M, GRAINS_PER_M, GRAIN_ASPECT = 1 / 0.15, 1 / 0.012, 1 / 12
-GRID_M, LINE_M = 0.10, 0.003
+TABLE_GRID_M, LINE_M = 0.10, 0.003
 
 
 class Textures(NamedTuple):
@@ -45,7 +45,7 @@ def light_directions(world_T_body_A44: Floats) -> Floats:
 @jit
 def lit_points(
     depth_m_HW: Floats,
-    face_HW: Ints,
+    face_HW: Ints32,
     geometry: Geometry,
     obj_T_cam_A44: Floats,
     lights_A23: Floats,
@@ -83,7 +83,7 @@ def lit_points(
 def paint(
     lit_HW4: Floats,
     depth_m_HW: Floats,
-    face_HW: Ints,
+    face_HW: Ints32,
     geometry: Geometry,
     textures: Textures,
     focal_px: float,
@@ -152,12 +152,12 @@ def square_wave(x: float, edge_width: float) -> float:
 
 @jit
 def wood(x: float, y: float, pixel_m: float) -> float:
-    """The table: planks along x with a faint grain, and a thin grid every ``GRID_M``."""
+    """The table: planks along x with a faint grain, and a thin grid every ``TABLE_GRID_M``."""
     plank = int(np.floor(y * PLANKS_PER_M))
     tone = 0.35 * lattice_value(plank, 7, 7)
     grain = 0.35 * plane_noise(x * (GRAINS_PER_M * GRAIN_ASPECT), y * GRAINS_PER_M, plank)
-    u, v = x * (1 / GRID_M), y * (1 / GRID_M)
-    to_line = min(abs(u - np.floor(u + 0.5)), abs(v - np.floor(v + 0.5))) * GRID_M
+    u, v = x * (1 / TABLE_GRID_M), y * (1 / TABLE_GRID_M)
+    to_line = min(abs(u - np.floor(u + 0.5)), abs(v - np.floor(v + 0.5))) * TABLE_GRID_M
     if to_line > LINE_M + 0.5 * pixel_m:
         return float(tone + grain)
     # Lines thinner than a pixel fade instead of flickering.

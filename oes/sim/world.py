@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oes.config import params
-from oes.episode import Body, Camera, Floats, Step
+from oes.episode import FIRST_OBJECT, Body, Camera, Floats, Step
 from oes.meshes.catalogue import Catalogue
 from oes.sim.arm import ArmConfig, RodArm
 from oes.sim.bodies import BodiesConfig, get_pose, mass_frame, set_pose, spawn, true_box
@@ -19,7 +19,6 @@ from oes.sim.robot import RobotConfig, write_urdf
 
 GRAVITY_M_S2 = 9.81
 NS_PER_MS = 1_000_000
-TABLE, ROBOT, FIRST_OBJECT = 0, 1, 2  # rows of Step.contact_AA
 
 
 @params

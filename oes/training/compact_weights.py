@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from oes.training.tensor_io import SCALE, ordered
+from oes.training.tensor_io import SCALE_SUFFIX, ordered
 
 KERNEL_DIMS = 5  # output and input channels, three axes
 INT8_MAX = 127
@@ -53,7 +53,7 @@ def _compact(tensors: Mapping[str, NDArray[np.generic]]) -> Arrays:
             largest = np.abs(value).max(axis=(2, 3, 4), keepdims=True)
             scale = np.maximum(largest / INT8_MAX, MIN_SCALE).astype(np.float16)
             steps = np.rint(value / scale.astype(np.float32)).clip(-INT8_MAX, INT8_MAX)
-            compact |= {name: steps.astype(np.int8), name + SCALE: scale}
+            compact |= {name: steps.astype(np.int8), name + SCALE_SUFFIX: scale}
         else:
             with np.errstate(over="ignore"):  # reported as a WeightsError
                 compact[name] = value.astype(np.float16)

@@ -9,7 +9,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-SCALE = "#scale"  # suffix of the name of an int8 kernel's scale (see ``compact_weights``)
+SCALE_SUFFIX = "#scale"  # suffix of the name of an int8 kernel's scale (see ``compact_weights``)
 
 
 def write_tensors(tensors: Mapping[str, Tensor], path: Path, about: Mapping[str, str]) -> None:
@@ -40,9 +40,11 @@ def read_tensors(
 
 def _restored(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     """Kernels that a compact copy stores as int8 with scales, as float32."""
-    scales = {name for name in tensors if name.endswith(SCALE)}
+    scales = {name for name in tensors if name.endswith(SCALE_SUFFIX)}
     return {
-        name: value.float() * tensors[name + SCALE].float() if name + SCALE in scales else value
+        name: value.float() * tensors[name + SCALE_SUFFIX].float()
+        if name + SCALE_SUFFIX in scales
+        else value
         for name, value in tensors.items()
         if name not in scales
     }

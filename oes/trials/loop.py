@@ -12,11 +12,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.episode import Body, Camera, Floats, Step
+from oes.episode import FIRST_OBJECT, ROBOT, Body, Camera, Floats, Step
 from oes.mpc.sampler import PlannerConfig
 from oes.mpc.search import Plan, PlanError
 from oes.sim.arm import ReachError
-from oes.sim.world import FIRST_OBJECT, ROBOT
 from oes.trials.planner import CameraObservation, Planner
 from oes.trials.task import Task, TrialScenario
 from oes.trials.world_models import StateEstimate

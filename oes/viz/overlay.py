@@ -4,12 +4,10 @@ from itertools import product
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from oes.episode import Camera, Floats
+from oes.episode import Camera, Floats, Pixels
 from oes.geom.camera import project
 
-Pixels = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 # The palette of Okabe and Ito, which colour-blind people can distinguish.

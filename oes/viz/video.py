@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from oes.viz.overlay import INK, Pixels
+from oes.episode import Pixels
+from oes.viz.overlay import INK
 
 
 def sheet(rows: Sequence[tuple[str, Sequence[Pixels]]]) -> Pixels:

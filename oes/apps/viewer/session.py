@@ -15,7 +15,7 @@ from oes.counterfactual.forecast import (
     true_motions,
 )
 from oes.dynamics.unroll import DynamicsModel
-from oes.episode import Camera, Episode, Floats, Frames
+from oes.episode import Camera, Episode, Floats, Frames, Pixels
 from oes.geom.camera import project, unproject
 from oes.geom.voxels import centers
 from oes.meshes.catalogue import Catalogue
@@ -24,7 +24,6 @@ from oes.perception.rays import Field
 from oes.record.dataset import FrameSource
 from oes.sim.simulate import replay_bodies
 from oes.sim.world import SimConfig
-from oes.viz.overlay import Pixels
 
 PointsRGB = tuple[NDArray[np.float32], NDArray[np.uint8]]  # positions P3 (m), colours P3
 VIEWER_MODEL = "oes"
