@@ -35,11 +35,11 @@ def test_tensors_and_metadata_come_back(tmp_path: Path) -> None:
 
 def test_compact_weights_come_back_nearly_and_take_a_third_of_the_bytes(tmp_path: Path) -> None:
     torch.manual_seed(0)
+    spread = torch.logspace(-3, 1, 64)[:, None, None, None, None]
     tensors = {
-        "conv.weight": torch.randn(16, 32, 3, 3, 3)
-        * torch.logspace(-3, 1, 16)[:, None, None, None, None],
+        "conv.weight": torch.randn(64, 33, 3, 3, 3) * spread,
+        "zero.weight": torch.zeros(50, 1000),
         "map": torch.randn(8, 8),
-        "zero.weight": torch.zeros(2, 2, 3, 3, 3),
         "steps": torch.tensor([70000]),
     }
     write_tensors(tensors, tmp_path / "a.safetensors", {"format": "x"})
@@ -49,8 +49,9 @@ def test_compact_weights_come_back_nearly_and_take_a_third_of_the_bytes(tmp_path
     assert torch.equal(back["steps"], tensors["steps"])
     assert torch.equal(back["zero.weight"], tensors["zero.weight"])
     torch.testing.assert_close(back["map"].float(), tensors["map"], atol=1e-3, rtol=1e-3)
-    step = tensors["conv.weight"].abs().amax((2, 3, 4), keepdim=True) / 127
-    assert ((back["conv.weight"] - tensors["conv.weight"]).abs() <= 0.51 * step).all()
+    blocks = tensors["conv.weight"].flatten().reshape(-1, 32)
+    error = (back["conv.weight"] - tensors["conv.weight"]).flatten().reshape(-1, 32)
+    assert (error.abs() <= 0.51 * blocks.abs().amax(1, keepdim=True) / 127 + 1e-6).all()
     sizes = [(tmp_path / name).stat().st_size for name in ("small/a.safetensors", "a.safetensors")]
     assert sizes[0] < sizes[1] / 3
 

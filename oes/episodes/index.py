@@ -6,8 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from oes.episode import Episode
-from oes.episodes.motion import ROBOT, contact_pairs, displacement_mm
+from oes.episode import ROBOT, Episode
+from oes.episodes.motion import contact_pairs, displacement_mm
 from oes.episodes.sheet import data_uri, render_html, write_sheet
 from oes.progress import progress_bar
 from oes.record.reader import list_episodes, read_frames

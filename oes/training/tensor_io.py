@@ -9,7 +9,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-SCALE_SUFFIX = "#scale"  # suffix of the name of an int8 kernel's scale (see ``compact_weights``)
+# An int8 kernel of a compact copy (see ``compact_weights``) comes with a tensor of scales, one for
+# each block of its flattened values.
+SCALE_SUFFIX = "#scale"
+BLOCK = 32
 
 
 def write_tensors(tensors: Mapping[str, Tensor], path: Path, about: Mapping[str, str]) -> None:
@@ -39,15 +42,13 @@ def read_tensors(
 
 
 def _restored(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Kernels that a compact copy stores as int8 with scales, as float32."""
-    scales = {name for name in tensors if name.endswith(SCALE_SUFFIX)}
-    return {
-        name: value.float() * tensors[name + SCALE_SUFFIX].float()
-        if name + SCALE_SUFFIX in scales
-        else value
-        for name, value in tensors.items()
-        if name not in scales
-    }
+    """The float32 kernels that a compact copy stores as int8 with scales."""
+    for name in [name for name in tensors if name.endswith(SCALE_SUFFIX)]:
+        scale = tensors.pop(name).float().repeat_interleave(BLOCK)
+        kernel = tensors[name.removesuffix(SCALE_SUFFIX)]
+        restored = kernel.float().flatten() * scale[: kernel.numel()]
+        tensors[name.removesuffix(SCALE_SUFFIX)] = restored.reshape(kernel.shape)
+    return tensors
 
 
 def ordered(content: bytes) -> bytes:
