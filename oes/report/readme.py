@@ -27,9 +27,8 @@ def results_block(tree: Mapping[str, Any]) -> str:
         for values in planners.values()
     }
     about = (
-        f"Profile {tree['profile']}. Errors are means over all objects of test episodes with novel "
-        "objects, from one random view with predicted boxes. The last two columns are shares of "
-        f"successful trials ({' or '.join(map(str, sorted(trials)))} each), by planner."
+        f"Profile {tree['profile']}; novel objects, one random view, predicted boxes. Mean errors in "
+        f"mm/deg; success of {' or '.join(map(str, sorted(trials)))} trials with shooting/cem."
     )
     table = markdown(results_table(tree)).split("\n\n", 1)[1].rstrip()
     lines = [*map("- {}".format, headline_ratios(tree)), f"- {CONTACT_NOTE}"]

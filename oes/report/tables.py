@@ -343,11 +343,11 @@ def results_table(tree: Mapping[str, Any]) -> Table:
         if model not in found:
             return ""
         mm, deg = (found[model][name][str(T)] for name in ("translation_mm", "rotation_deg"))
-        return f"{mm:.1f} mm, {deg:.1f}°"
+        return f"{mm:.1f}/{deg:.1f}"
 
     def success(scenario: str, model: str) -> str:
         found = tree["mpc"].get(scenario, {}).get(model, {})
-        return " / ".join(f"{values['success']:.2f}" for values in found.values())
+        return "/".join(f"{values['success']:.2f}" for values in found.values())
 
     cells = [
         (
@@ -358,8 +358,7 @@ def results_table(tree: Mapping[str, Any]) -> Table:
         )
         for model in (*models, CONTACT, "simulator")
     ]
-    header: tuple[str, ...] = ("model", "pushing, T=1", "T=3", "T=5", "falling, T=5")
-    header += ("targets (shooting / cem)", "around an obstacle")
+    header = ("model", "pushing, T=1", "T=3", "T=5", "falling, T=5", "targets", "obstacle")
     return Table("Mean errors and shares of successful trials", header, tuple(cells))
 
 
