@@ -14,8 +14,10 @@ from oes.apps import demo, evaluate
 from oes.apps.assets import WeightsMissing, find_catalogue, find_weights
 from oes.apps.demo import DemoConfig
 from oes.apps.evaluate import EvaluateConfig
-from oes.config import load
+from oes.apps.view import record_episode
+from oes.config import PARAMS, load
 from oes.meshes.catalogue import CatalogueError
+from oes.sim.simulate import EpisodesConfig
 from tests.blocks import SMOKE, make_catalogue, make_weights
 
 
@@ -92,3 +94,13 @@ def test_demo_without_a_catalogue_makes_novel_plates_to_push(study: Path) -> Non
     assert {mesh.category for mesh in train + test} == {"mit_push"}
     assert (len(train), len(test)) == (8, 3)
     assert find_catalogue().meshes.keys() == catalogue.meshes.keys()
+
+
+def test_the_example_of_the_readme_runs(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    code = readme.split("```python\n")[1].split("```")[0]
+    record_episode(
+        make_catalogue(study / "datasets/meshes"), load(PARAMS, "episodes", EpisodesConfig)
+    )
+    exec(compile(code, "README.md", "exec"), {})
+    assert "tensor" in capsys.readouterr().out
