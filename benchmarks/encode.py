@@ -64,7 +64,7 @@ def main() -> None:
         scene = perceiver.encode(frames, cameras)
         encode = median_ms(lambda frames=frames, cameras=cameras: perceiver.encode(frames, cameras))
         detect = median_ms(lambda scene=scene: perceiver.detect(scene))
-        objects = median_ms(lambda s=scene, f=frames, c=cameras: perceiver.objects(s, *boxes, f, c))
+        objects = median_ms(lambda s=scene, f=frames, c=cameras: perceiver.objects(s, boxes, f, c))
         print(f"{count:<8}{encode:>12.1f}{detect:>12.1f}{objects:>12.1f}")
 
 

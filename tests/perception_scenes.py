@@ -108,7 +108,7 @@ def box_solids(count: int = 2048) -> Solids:
     """Solid points of the two meshes."""
     boxes = {name: trimesh.creation.box(size) for name, size in SIZES.items()}
     return Solids(
-        {name: solid_points(box, (box,), count, seed=0) for name, box in boxes.items()},
+        {name: solid_points(box, (box,), count) for name, box in boxes.items()},
         {name: sample_surface(box, count) for name, box in boxes.items()},
     )
 

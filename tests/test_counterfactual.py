@@ -8,13 +8,7 @@ import pytest
 import torch
 
 from oes.config import load
-from oes.counterfactual.compose import (
-    DecomposedScene,
-    PoseTable,
-    compose,
-    forecast_poses,
-    initial_poses,
-)
+from oes.counterfactual.compose import DecomposedScene, PoseTable, compose, initial_poses
 from oes.counterfactual.edits import (
     EDIT_TYPES,
     Scenario,
@@ -30,6 +24,7 @@ from oes.counterfactual.forecast import (
     STATIC,
     UNEDITED,
     Counterfactual,
+    ObjectMotion,
     forecast_motions,
     run_counterfactuals,
     true_motions,
@@ -75,12 +70,9 @@ def make_boxes(count: int = 1) -> tuple[DecomposedScene, torch.Tensor]:
 def shifted(
     poses: PoseTable, shift: tuple[float, float, float], turn_rad: float = 0.0
 ) -> PoseTable:
-    turn = torch.from_numpy(rotation_z(turn_rad)).float()
-    return forecast_poses(
-        poses,
-        turn.expand(len(poses.source_N), 3, 3),
-        torch.tensor(shift).expand(len(poses.source_N), 3),
-    )
+    count, turn = len(poses.source_N), torch.from_numpy(rotation_z(turn_rad)).float()
+    motion = ObjectMotion(torch.tensor(shift).expand(1, count, 3), turn.expand(1, count, 3, 3))
+    return motion.poses(poses, 1)
 
 
 def test_composing_initial_poses_gives_the_map() -> None:

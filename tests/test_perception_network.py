@@ -52,7 +52,7 @@ def test_a_scene_of_nothing_gives_no_objects() -> None:
     scene = seer.encode(nothing, cameras)
     boxes = seer.detect(scene)
     assert [len(value) for value in boxes] == [0, 0, 0]
-    objects = seer.objects(scene, *boxes, nothing, cameras)
+    objects = seer.objects(scene, boxes, nothing, cameras)
     assert objects.crop_NCXYZ.shape == (0, 7, 16, 16, 16) and objects.image_NV3HW.shape == (
         0,
         2,
@@ -70,9 +70,8 @@ def test_objects_hold_masked_features_and_the_image_around_each_box() -> None:
     step = world.episodes[0].steps[0]
     frames, cameras = world.read(0, 0, [0, 3])
     centers, sizes = torch.tensor(step.center_N3), torch.tensor(step.size_N3)
-    objects = seer.objects(
-        seer.encode(frames, cameras), centers, sizes, torch.ones(len(centers)), frames, cameras
-    )
+    boxes = centers, sizes, torch.ones(len(centers))
+    objects = seer.objects(seer.encode(frames, cameras), boxes, frames, cameras)
     mask, behind, hidden = objects.crop_NCXYZ[:, :3].unbind(1)
     assert 0 <= mask.min() and mask.max() <= 1
     assert (

@@ -127,13 +127,13 @@ class Oracle:
         return centers, sizes, torch.ones(len(seen))
 
     def objects(
-        self, scene: Step, centers_N3: Tensor, sizes_N3: Tensor, scores_N: Tensor, *_: object
+        self, scene: Step | None, boxes: tuple[Tensor, Tensor, Tensor], *_: object
     ) -> Objects:
-        count = len(centers_N3)
+        count = len(boxes[0])
         return Objects(
-            center_N3=centers_N3,
-            size_N3=sizes_N3,
-            score_N=scores_N,
+            center_N3=boxes[0],
+            size_N3=boxes[1],
+            score_N=boxes[2],
             valid_N=torch.ones(count, dtype=torch.bool),
             crop_NCXYZ=torch.zeros(count, 1, 16, 16, 16),
             image_NV3HW=torch.zeros(count, 1, 3, 32, 32, dtype=torch.uint8),
@@ -338,12 +338,8 @@ def test_tasks_satisfy_their_scenario(catalogue: Catalogue, sim: SimConfig) -> N
 
 
 def test_graph_world_model_moves_the_objects_in_the_way() -> None:
-    objects = Oracle().objects(
-        None,
-        torch.tensor([[0.1, 0.0, 0.02], [0.0, 0.2, 0.02]]),
-        torch.full((2, 3), 0.07),
-        torch.ones(2),
-    )  # type: ignore[arg-type]
+    centers = torch.tensor([[0.1, 0.0, 0.02], [0.0, 0.2, 0.02]])
+    objects = Oracle().objects(None, (centers, torch.full((2, 3), 0.07), torch.ones(2)))
     tips: Floats = np.array([[0.04, 0.0, 0.02], [0.0, 0.1, 0.02]])
     candidates = Candidates(
         torch.from_numpy(tips).float(),

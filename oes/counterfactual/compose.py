@@ -58,15 +58,6 @@ def initial_poses(count: int) -> PoseTable:
     return PoseTable(torch.arange(count), eye_N33, torch.zeros(count, 3), torch.ones(count))
 
 
-def forecast_poses(poses: PoseTable, rotation_N33: Tensor, translation_N3: Tensor) -> PoseTable:
-    """Poses after rotations about the centres in ``poses`` and translations."""
-    return replace(
-        poses,
-        rotation_N33=rotation_N33 @ poses.rotation_N33,
-        translation_N3=poses.translation_N3 + translation_N3,
-    )
-
-
 @torch.inference_mode()
 def decompose_scene(
     perceiver: Perceiver, scene: SceneFeatures, objects: Objects

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import torch
@@ -86,7 +86,7 @@ class FutureEvaluator:
         yield from self._detection_rows(T, name, frames, cameras, center_N3)
 
     def detector_baseline(self, T: int) -> Iterator[FutureRow]:
-        """The same for recorded images and true objects: the detector's share of the error."""
+        """``consistency`` of recorded images and true objects: the detector's share of the error."""
         frames, cameras = self._images(T)
         center_N3 = self.scenario.episode.steps[T].center_N3
         yield from self._detection_rows(T, PHOTOGRAPH, frames, cameras, center_N3)
@@ -120,9 +120,8 @@ class FutureEvaluator:
 
 
 def _mean_distance_mm(pairs: Sequence[tuple[Floats, ...]]) -> float | None:
-    if not pairs:
-        return None
-    return round(float(np.mean([float(np.linalg.norm(a - b)) * 1e3 for a, b in pairs])), 3)
+    distances_mm = [float(np.linalg.norm(a - b)) * 1e3 for a, b in pairs]
+    return round(float(np.mean(distances_mm)), 3) if distances_mm else None
 
 
 def _image_errors(image: Frames, true: Frames, is_object_VHW: Bools) -> FutureRow:
@@ -159,7 +158,7 @@ def edit_rows(counterfactual: Counterfactual, horizons: Sequence[int]) -> Iterat
         forecast = to_gt_objects(scenario.scene, scenario.episode, *arrays)
         error_mm_TN = translation_mm(forecast.translation_TN3, true.translation_TN3)
         error_deg_TN = rotation_deg(forecast.rotation_TN33, true.rotation_TN33)
-        for object_i, T in ((i, T) for i in range(len(forecast.detected_N)) for T in horizons):
+        for object_i, T in product(range(len(forecast.detected_N)), horizons):
             yield {
                 "task": simulated.task,
                 "episode_i": scenario.scene.episode_i,

@@ -2,19 +2,13 @@
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from oes.counterfactual.compose import (
-    DecomposedScene,
-    PoseTable,
-    decompose_scene,
-    forecast_poses,
-    initial_poses,
-)
+from oes.counterfactual.compose import DecomposedScene, PoseTable, decompose_scene, initial_poses
 from oes.counterfactual.edits import EditsConfig, Scenario, draw_edit
 from oes.dynamics.examples import stack, true_motion
 from oes.dynamics.unroll import DynamicsModel, unroll
@@ -47,10 +41,14 @@ class ObjectMotion:
     rotation_TN33: Tensor
 
     def poses(self, initial: PoseTable, T: int) -> PoseTable:
-        """Poses after T steps."""
+        """Poses after T steps; the rotations are about the centres in ``initial``."""
         if T == 0:
             return initial
-        return forecast_poses(initial, self.rotation_TN33[T - 1], self.translation_TN3[T - 1])
+        return replace(
+            initial,
+            rotation_N33=self.rotation_TN33[T - 1] @ initial.rotation_N33,
+            translation_N3=initial.translation_N3 + self.translation_TN3[T - 1],
+        )
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ def perceive_first_state(
     episode = source.episodes[episode_i]
     frames, cameras = source.read(episode_i, 0, [camera_i])
     features = perceiver.encode(frames, cameras)
-    objects = perceiver.objects(features, *perceiver.detect(features), frames, cameras)
+    objects = perceiver.objects(features, perceiver.detect(features), frames, cameras)
     centers = objects.center_N3.double().numpy()
     truth = match_detections(centers, episode.steps[0].center_N3).tolist()
     scene = PerceivedScene(episode_i, 1, objects, truth)
@@ -105,9 +103,7 @@ def true_motions(scenario: Scenario, simulated: Episode) -> ObjectMotion:
             center_3 = scenario.scene.objects.center_N3[i].double().numpy()
             motion = true_motion(simulated.steps, true_i, center_3)
             translation_TN3[:, i], rotation_TN33[:, i] = motion
-    return ObjectMotion(
-        torch.from_numpy(translation_TN3).float(), torch.from_numpy(rotation_TN33).float()
-    )
+    return ObjectMotion(*(torch.from_numpy(x).float() for x in (translation_TN3, rotation_TN33)))
 
 
 def run_counterfactuals(

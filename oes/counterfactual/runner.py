@@ -8,16 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from oes.config import Shared, params
+from oes.counterfactual import forecast
 from oes.counterfactual.compose import DecomposedScene
 from oes.counterfactual.edits import EDIT_TYPES, EditsConfig
 from oes.counterfactual.evaluate import FutureEvaluator, FutureRow, edit_rows
-from oes.counterfactual.forecast import (
-    TRUTH,
-    Counterfactual,
-    perceive_first_state,
-    run_counterfactuals,
-    true_motions,
-)
+from oes.counterfactual.forecast import Counterfactual
 from oes.counterfactual.gallery import FutureRenderer, write_gallery, write_predictions, zoomed
 from oes.dynamics.unroll import DynamicsModel
 from oes.episodes.capture import scene_renderer
@@ -62,7 +57,7 @@ class FuturesConfig:
 
 @dataclass(frozen=True)
 class FuturesRunner:
-    """Everything that all episodes share; the first of ``models`` is rendered from all cameras."""
+    """Inputs common to all episodes; the first of ``models`` is rendered from all cameras."""
 
     cfg: FuturesConfig
     task: str
@@ -90,15 +85,14 @@ class FuturesRunner:
         rng = np.random.default_rng((cfg.seed, episode_i))
         num_cameras = len(episode.steps[0].cameras)
         input_is = rng.permutation([i for i in range(num_cameras) if i not in cfg.cameras]).tolist()
-        scenario, scene = perceive_first_state(self.perceiver, self.source, episode_i, input_is[0])
+        views = self.perceiver, self.source
+        scenario, scene = forecast.perceive_first_state(*views, episode_i, input_is[0])
         world = (self.catalogue, cfg.sim, self.models)
-        edits, window = cfg.edit_types[self.task], scene.window
-        futures = list(run_counterfactuals(scenario, edits, cfg.edits, window, rng, world))
+        edits = cfg.edit_types[self.task], cfg.edits
+        futures = list(forecast.run_counterfactuals(scenario, *edits, scene.window, rng, world))
         tables: dict[str, list[FutureRow]] = {}
         if episode_i < cfg.num_rendered:
-            evaluator = FutureEvaluator(
-                self.perceiver, self.source, scenario, input_is[0], cfg.cameras
-            )
+            evaluator = FutureEvaluator(*views, scenario, input_is[0], cfg.cameras)
             tables = self._evaluate(evaluator, scene, futures[0])
         if episode_i < cfg.num_shown:
             self._show(futures, scene, input_is, gallery)
@@ -124,12 +118,12 @@ class FuturesRunner:
         self, evaluator: FutureEvaluator, scene: DecomposedScene, future: Counterfactual
     ) -> dict[str, list[FutureRow]]:
         renderer = scene_renderer(future.simulated, self.catalogue, self.cfg.sim)
-        motions = {**future.forecasts, TRUTH: true_motions(future.scenario, future.simulated)}
+        motions = dict(future.forecasts)
+        motions[forecast.TRUTH] = forecast.true_motions(future.scenario, future.simulated)
         name = next(iter(self.models))
-        renders: list[FutureRow] = []
-        consistency: list[FutureRow] = []
+        rows: dict[str, list[FutureRow]] = {"renders": [], "consistency": []}
         for T in self.cfg.horizons_steps:
-            renders += evaluator.renders(scene, motions, T, renderer)
-            consistency += evaluator.consistency(scene, name, motions[name], T)
-            consistency += evaluator.detector_baseline(T)
-        return {"renders": renders, "consistency": consistency}
+            rows["renders"] += evaluator.renders(scene, motions, T, renderer)
+            rows["consistency"] += evaluator.consistency(scene, name, motions[name], T)
+            rows["consistency"] += evaluator.detector_baseline(T)
+        return rows

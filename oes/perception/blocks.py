@@ -39,11 +39,9 @@ class Residual(nn.Module):
         return F.relu(self.out_norm(x + self.second(F.relu(self.norm(self.first(x))))))
 
 
-class Stem(nn.Sequential):
+def stem(inputs: int, outputs: int) -> nn.Sequential:
     """Convolution, norm, relu."""
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__(conv3(inputs, outputs), Norm(outputs), nn.ReLU())
+    return nn.Sequential(conv3(inputs, outputs), Norm(outputs), nn.ReLU())
 
 
 class UNet(nn.Module):
@@ -54,17 +52,13 @@ class UNet(nn.Module):
 
     def __init__(self, inputs: int, channels: tuple[int, ...], blocks: tuple[int, ...]) -> None:
         super().__init__()
-
-        def levels(last: int | None) -> nn.ModuleList:
-            pairs = zip(channels[:last], blocks[:last], strict=True)
-            return nn.ModuleList(nn.Sequential(*(Residual(c) for _ in range(n))) for c, n in pairs)
-
-        self.stem = Stem(inputs, channels[0])
+        self.stem = stem(inputs, channels[0])
         pairs = list(pairwise(channels))
         self.downs = nn.ModuleList(nn.Conv3d(a, b, 2, stride=2) for a, b in pairs)
         self.ups = nn.ModuleList(nn.ConvTranspose3d(b, a, 2, stride=2) for a, b in pairs)
-        self.before = levels(None)
-        self.after = levels(-1)
+        sizes = list(zip(channels, blocks, strict=True))
+        self.before = nn.ModuleList(_residuals(*size) for size in sizes)
+        self.after = nn.ModuleList(_residuals(*size) for size in sizes[:-1])
 
     def forward(self, x: Tensor) -> Tensor:
         """Features with ``channels[0]`` channels; every axis is divisible by 2^(levels - 1)."""
@@ -77,3 +71,7 @@ class UNet(nn.Module):
         for up, level in zip(reversed(self.ups), reversed(self.after), strict=True):
             x = level(up(x) + skips.pop())
         return x
+
+
+def _residuals(channels: int, count: int) -> nn.Sequential:
+    return nn.Sequential(*(Residual(channels) for _ in range(count)))

@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 from oes.config import params
 from oes.geom.boxes import iou
-from oes.perception.blocks import Stem
+from oes.perception.blocks import stem
 
 BOX_CHANNELS = 6
 PRIOR_LOGIT = 4.0  # negative logit of the prior: objects fill few voxels (RetinaNet, section 4.1)
@@ -35,8 +35,8 @@ class DetectorHead(nn.Module):
     def __init__(self, inputs: int, cfg: DetectorConfig) -> None:
         super().__init__()
         self.cfg = cfg
-        stem = Stem(inputs, cfg.channels)
-        self.layers = nn.Sequential(stem, nn.Conv3d(cfg.channels, 1 + BOX_CHANNELS, 1))
+        hidden = stem(inputs, cfg.channels)
+        self.layers = nn.Sequential(hidden, nn.Conv3d(cfg.channels, 1 + BOX_CHANNELS, 1))
 
     def forward(self, coarse_BCXYZ: Tensor) -> tuple[Tensor, Tensor]:
         """Logits and deltas in float32."""

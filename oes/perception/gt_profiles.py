@@ -9,7 +9,7 @@ import torch.nn.functional as F
 import trimesh
 from torch import Tensor
 
-from oes.episode import Body, Episode, Floats
+from oes.episode import Body, Floats
 from oes.geom.polar import directions, profile_normals
 from oes.meshes.catalogue import Catalogue
 from oes.objects import LAYERS
@@ -29,15 +29,13 @@ class GroundTruthProfiles:
     catalogue: Catalogue
     cylinder: Cylinder
 
-    def of_state(
-        self, episode: Episode, step_i: int, support_N3: Floats, object_is: Sequence[int]
+    def of_bodies(
+        self, bodies: Sequence[Body], poses: Floats, support_N3: Floats
     ) -> tuple[Floats, Floats]:
-        """Radii NRD (metres; 0: no surface) and centres of mass N3 (world) of some objects.
+        """Radii NRD (metres; 0: no surface) and centres of mass N3 (world) of posed bodies.
 
-        ``support_N3`` are the origins of their cylindrical grids (world).
+        ``poses``: world_T_obj N44. ``support_N3``: origins of the cylindrical grids (world).
         """
-        bodies = [episode.bodies[i] for i in object_is]
-        poses = [episode.steps[step_i].world_T_obj_N44[i] for i in object_is]
         radii = list(map(self.radii, bodies, poses, support_N3))
         coms = [
             pose[:3, :3] @ (self.catalogue.meshes[body.mesh].com_obj_3 * body.scale_3) + pose[:3, 3]
@@ -101,13 +99,11 @@ def profile_to_point_cloud(
         is_present_D = radius_D > 0
         if high <= low or not is_present_D.any():
             continue
-        xy_P2, normal_P3 = (
-            (radius_D[:, None] * unit_D2)[is_present_D],
-            F.pad(profile_normals(radius_D), (0, 1)),
-        )
+        xy_P2 = (radius_D[:, None] * unit_D2)[is_present_D]
+        normal_P3 = F.pad(profile_normals(radius_D), (0, 1))[is_present_D]
         for share in RING_HEIGHTS:
             points_P3 = F.pad(xy_P2, (0, 1), value=low + share * (high - low))
-            sides.append((points_P3, normal_P3[is_present_D]))
+            sides.append((points_P3, normal_P3))
         above_D = padded_ZD[layer_i + 2] * (high < top_m)
         lids.append(_lid(radius_D, above_D, high, 1.0))
         lids.append(_lid(radius_D, padded_ZD[layer_i], low, -1.0))

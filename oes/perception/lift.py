@@ -14,7 +14,6 @@ from torch import Tensor
 from oes.config import params
 from oes.episode import Camera, Frames
 from oes.geom.se3 import inverse
-from oes.objects import map_tensors
 
 NUM_GEOMETRY = 4
 SIGNED_DISTANCE, UNOBSERVED = 0, 3  # channels
@@ -37,33 +36,26 @@ class Views:
     K_BV33: Tensor
     world_T_cam_BV44: Tensor
 
-    def first(self, count: int) -> "Views":
-        """The views of the first ``count`` scenes."""
-        return map_tensors(self, lambda x: x[:count])
-
-    def to(self, device: torch.device | str) -> "Views":
-        """The same views on another device."""
-        return map_tensors(self, lambda x: x.to(device))
-
 
 def views_of(frames: Frames, cameras: Sequence[Camera]) -> Views:
     """One scene's images and their cameras, in the same order, as a batch of one.
 
     Raises ValueError where the counts differ or there is no view.
     """
-    count = len(frames.rgb_VHW3)
-    if not len(cameras) == count > 0:
-        raise ValueError(
-            f"views_of: {count} images for {len(cameras)} cameras; at least one is needed"
-        )
+    count, num_cameras = len(frames.rgb_VHW3), len(cameras)
+    if not num_cameras == count > 0:
+        raise ValueError(f"views_of: {count} images for {num_cameras} cameras; need at least one")
+    arrays = frames.rgb_VHW3, frames.depth_m_VHW
+    images = (torch.from_numpy(np.ascontiguousarray(array)).float() for array in arrays)
+    rgb, depth, K, world_T_cam = (x[None] for x in (*images, *camera_matrices(cameras)))
+    return Views(rgb / 255, depth, K, world_T_cam)
+
+
+def camera_matrices(cameras: Sequence[Camera]) -> tuple[Tensor, Tensor]:
+    """Intrinsics V33 and world_T_cam V44 of cameras, in float32."""
     K_V33 = np.stack([camera.K_33 for camera in cameras])
     world_T_cam_V44 = np.stack([camera.world_T_cam_44 for camera in cameras])
-    return Views(
-        rgb_BVHW3=torch.from_numpy(np.ascontiguousarray(frames.rgb_VHW3)).float()[None] / 255,
-        depth_m_BVHW=torch.from_numpy(np.ascontiguousarray(frames.depth_m_VHW)).float()[None],
-        K_BV33=torch.from_numpy(K_V33).float()[None],
-        world_T_cam_BV44=torch.from_numpy(world_T_cam_V44).float()[None],
-    )
+    return torch.from_numpy(K_V33).float(), torch.from_numpy(world_T_cam_V44).float()
 
 
 def lift(
@@ -85,8 +77,8 @@ def lift(
     distance, observed, near, free = points_BP3.new_zeros(4, batch, points).unbind(0)
     features = features_BVHWC.new_zeros(batch * points, features_BVHWC.shape[-1])
     for view in range(views.depth_m_BVHW.shape[1]):
-        pixel, depth, is_inside = _project(views, view, points_BP3, interpolate_depth)
-        signed = (depth / cfg.truncation_m).clamp(-1, 1)
+        pixel, in_front_m, is_inside = _project(views, view, points_BP3, interpolate_depth)
+        signed = (in_front_m / cfg.truncation_m).clamp(-1, 1)
         visible = (is_inside & (signed > -1)).float()
         weight = (1 - signed.abs()) * visible
         distance, observed = distance + signed * visible, observed + visible
@@ -107,7 +99,7 @@ def lift(
 def _project(
     views: Views, view: int, points_BP3: Tensor, interpolate_depth: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Flat pixel index BP over BHW, distance BP in front of the surface, whether in the image."""
+    """Flat pixel index BP in BHW, z-distance BP to the surface behind, whether BP in the image."""
     depth_BHW = views.depth_m_BVHW[:, view]
     batch, height, width = depth_BHW.shape
     # The 8 significant bits of bfloat16 cannot tell half pixels apart past 128.

@@ -38,10 +38,6 @@ class PerceptionBatch:
     region_center_BN3: Tensor
     region_size_BN3: Tensor
 
-    def to(self, device: torch.device | str) -> "PerceptionBatch":
-        """The same batch on another device."""
-        return map_tensors(self, lambda x: x.to(device))
-
 
 def losses(
     net: PerceptionNet, batch: PerceptionBatch, num_proposals: int, num_rendered: int
@@ -111,10 +107,11 @@ def _view_loss(
     net: PerceptionNet, scene: SceneFeatures, batch: PerceptionBatch, count: int
 ) -> Tensor:
     """Mean absolute error of predicted query images plus the mean of their RMS errors."""
-    query = batch.query.first(count)
+    scene = map_tensors(scene, lambda x: x[:count])
+    query = map_tensors(batch.query, lambda x: x[:count])
     gt = query.rgb_BVHW3[:, 0]
     size = (gt.shape[1], gt.shape[2])
     camera = query.K_BV33[:, 0], query.world_T_cam_BV44[:, 0]
-    error = (net.render(scene.first(count), *camera, size) - gt).flatten(1)
+    error = (net.render(scene, *camera, size) - gt).flatten(1)
     # PSNR measures the squared error; alone it would blur regions that no input view shows.
     return error.abs().mean() + (error.square().mean(1) + EPSILON).sqrt().mean()

@@ -8,7 +8,6 @@ from torch import Tensor, nn
 
 from oes.config import params
 from oes.geom.voxels import Grid, centers, fold_order, unfold
-from oes.objects import map_tensors
 from oes.perception import detector
 from oes.perception.blocks import UNet
 from oes.perception.decoder import BackgroundField, DecoderConfig, FieldHead, ViewDecoder
@@ -52,10 +51,6 @@ class SceneFeatures:
     coarse_BCXYZ: Tensor
     objectness_BXYZ: Tensor
     deltas_B6XYZ: Tensor
-
-    def first(self, count: int) -> "SceneFeatures":
-        """The first ``count`` scenes."""
-        return map_tensors(self, lambda x: x[:count])
 
 
 class ImageEncoder(nn.Module):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -96,10 +97,8 @@ class ObjectStore:
         old, radius_ORD = self.tensors, self.tensors["gt_radius_ORD"].float()
         scale_ORD = torch.full_like(radius_ORD, MIN_RADIUS_SCALE_M)
         gt_ORD3 = torch.stack([radius_ORD, scale_ORD, (radius_ORD > 0).float()], -1)
-        is_true_O1 = old["gt_O"][:, None] >= 0
-        profile_ORD3 = torch.where(
-            is_true_O1[..., None, None], gt_ORD3, old["radial_profile_ORD3"].float()
-        )
+        is_true_O1, old_ORD3 = old["gt_O"][:, None] >= 0, old["radial_profile_ORD3"].float()
+        profile_ORD3 = torch.where(is_true_O1[..., None, None], gt_ORD3, old_ORD3)
         com_offset_O3 = torch.where(is_true_O1, old["gt_com_offset_O3"], old["com_offset_O3"])
         new = {"radial_profile_ORD3": profile_ORD3, "com_offset_O3": com_offset_O3}
         return ObjectStore(self.settings, old | new)
@@ -122,23 +121,24 @@ def pack(
     observations: Sequence[Observation], settings: Sequence[str], num_views: int
 ) -> dict[str, Tensor]:
     """The tensors of a file whose views are padded to ``num_views``."""
-    scenes = [each.objects for each in observations]
+    scenes = [x.objects for x in observations]
     counts = torch.tensor([len(scene.score_N) for scene in scenes], dtype=torch.int64)
-    views = [[*each.views, *[-1] * (num_views - len(each.views))] for each in observations]
+    views = [[*x.views, *[-1] * (num_views - len(x.views))] for x in observations]
     tensors = {
         "observation_O": torch.repeat_interleave(torch.arange(len(scenes)), counts),
-        "gt_O": torch.cat([torch.as_tensor(each.gt_N) for each in observations]),
-        "gt_radius_ORD": torch.cat([each.gt_surface[0] for each in observations]),
-        "gt_com_offset_O3": torch.cat([each.gt_surface[1] for each in observations]),
-        "episode_U": torch.tensor([each.episode_i for each in observations]),
-        "setting_U": torch.tensor([settings.index(each.setting) for each in observations]),
-        "num_views_U": torch.tensor([len(each.views) for each in observations]),
+        "gt_O": torch.cat([torch.as_tensor(x.gt_N) for x in observations]),
+        "gt_radius_ORD": torch.cat([x.gt_surface[0] for x in observations]),
+        "gt_com_offset_O3": torch.cat([x.gt_surface[1] for x in observations]),
+        "episode_U": torch.tensor([x.episode_i for x in observations]),
+        "setting_U": torch.tensor([settings.index(x.setting) for x in observations]),
+        "num_views_U": torch.tensor([len(x.views) for x in observations]),
         "views_UV": torch.tensor(views, dtype=torch.int32).reshape(len(views), num_views),
     }
     for name in FIELD_DTYPES:
         fields = [getattr(scene, name) for scene in scenes]
         if "_NV" in name:
-            fields = [_pad_views(field, num_views) for field in fields]
+            later_axes = (0, 0) * (fields[0].dim() - 2)
+            fields = [F.pad(x, (*later_axes, 0, num_views - x.shape[1])) for x in fields]
         tensors[name.replace("_N", "_O")] = torch.cat(fields)
     return {name: tensors[name].to(dtype).contiguous() for name, dtype in DTYPES.items()}
 
@@ -172,10 +172,3 @@ def read_objects(path: Path) -> ObjectStore:
     if not is_consistent:
         raise ObjectsError(f"{path}: objects and observations do not belong together")
     return ObjectStore(tuple(json.loads(about["settings"])), tensors)
-
-
-def _pad_views(tensor_NV: Tensor, num_views: int) -> Tensor:
-    """Zeros for the missing views."""
-    count, found = tensor_NV.shape[:2]
-    zeros = tensor_NV.new_zeros(count, num_views - found, *tensor_NV.shape[2:])
-    return torch.cat([tensor_NV, zeros], dim=1)

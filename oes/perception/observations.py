@@ -1,7 +1,7 @@
-"""Work of the objects stage: perceive the first state of every episode under every setting.
+"""The objects stage: perceive the first state of every episode under every setting.
 
-The views of test episodes are nested (two views are the one view and another), so that settings
-differ in nothing else.
+The views of test episodes are nested: the set of two views contains the single view, and so on, so
+that settings differ only in the number of views.
 """
 
 import json
@@ -24,10 +24,10 @@ from oes.perception.gt_profiles import GroundTruthProfiles
 from oes.perception.network import SceneFeatures
 from oes.perception.objects_file import OBJECTS_FORMAT, ObjectsError, Observation, concat, pack
 from oes.perception.perceiver import Perceiver
-from oes.perception.samples import Source
 from oes.perception.solids import Solids
 from oes.perception.surface import support_points
 from oes.progress import resumable_map
+from oes.record.dataset import FrameSource
 from oes.training.tensor_io import read_tensors, write_tensors
 
 GT, JITTERED, PREDICTED = "gt", "jittered", "predicted"
@@ -106,7 +106,7 @@ class ScenePerceiver:
     cfg: ObjectsConfig
     settings: dict[str, Setting]
     perceiver: Perceiver
-    source: Source
+    source: FrameSource
     gt_profiles: GroundTruthProfiles
     solids: Solids | None
 
@@ -127,11 +127,10 @@ class ScenePerceiver:
             scene = self.perceiver.encode(frames, cameras)
             for name in names:
                 boxes, gt_N = self._boxes(self.settings[name].boxes, scene, episode_i, rng)
-                objects = self.perceiver.objects(scene, *boxes, frames, cameras)
+                objects = self.perceiver.objects(scene, boxes, frames, cameras)
                 surface = self._gt_surface(episode_i, objects, gt_N)
-                observations.append(
-                    Observation(episode_i, name, tuple(views), objects, gt_N, surface)
-                )
+                parts = tuple(views), objects, gt_N, surface
+                observations.append(Observation(episode_i, name, *parts))
             if self.solids is not None and self.settings[names[0]].views in SCORED_VIEWS:
                 key: PerceptionRow = {"episode": episode_i, "step": 0, "num_views": len(views)}
                 truth = evaluate.gt_objects(episode, 0, self.solids)
@@ -146,11 +145,11 @@ class ScenePerceiver:
         """``Observation.gt_surface``."""
         radius_NRD = torch.full(objects.radial_profile_NRD3.shape[:-1], torch.nan)
         com_N3 = torch.full_like(objects.center_N3, torch.nan)
-        matched = np.flatnonzero(gt_N >= 0)
+        matched, episode = np.flatnonzero(gt_N >= 0), self.source.episodes[episode_i]
+        bodies = [episode.bodies[i] for i in gt_N[matched]]
+        poses = episode.steps[0].world_T_obj_N44[gt_N[matched]]
         support_N3 = support_points(objects.center_N3, objects.size_N3)[matched].double().numpy()
-        radius, com = self.gt_profiles.of_state(
-            self.source.episodes[episode_i], 0, support_N3, gt_N[matched].tolist()
-        )
+        radius, com = self.gt_profiles.of_bodies(bodies, poses, support_N3)
         radius_NRD[matched] = torch.from_numpy(radius).float()
         com_N3[matched] = torch.from_numpy(com).float()
         return radius_NRD, com_N3 - objects.center_N3
@@ -200,25 +199,26 @@ def perceive_split(
     Finished shards of episodes are kept in ``progress`` and reused.
     """
     cfg, count = scenes.cfg, len(scenes.source.episodes)
+    starts = range(0, count, cfg.shard_episodes)
     shards = {
-        progress / f"shard_{start:06d}.safetensors": range(
-            start, min(start + cfg.shard_episodes, count)
-        )
-        for start in range(0, count, cfg.shard_episodes)
+        progress / f"shard_{start:06d}.safetensors": range(count)[
+            start : start + cfg.shard_episodes
+        ]
+        for start in starts
     }
     num_workers = cfg.num_workers if scenes.perceiver.device.type == "cpu" else 1
     write = partial(_write_shard, scenes)
     resumable_map(write, shards, num_workers=num_workers, desc="perceiving", unit="shard")
-    found = [read_tensors(path, OBJECTS_FORMAT, ObjectsError) for path in shards]
-    rows = [json.loads(about["rows"]) for _, about in found]
-    detections, views = ([row for both in rows for row in both[i]] for i in (0, 1))
-    return concat([tensors for tensors, _ in found]), detections, views
+    files = [read_tensors(path, OBJECTS_FORMAT, ObjectsError) for path in shards]
+    tables = [json.loads(about["rows"]) for _, about in files]
+    detections, views = ([row for pair in tables for row in pair[i]] for i in (0, 1))
+    return concat([tensors for tensors, _ in files]), detections, views
 
 
 def _write_shard(scenes: ScenePerceiver, episode_is: range, path: Path) -> None:
-    found = [scenes.perceive(episode_i) for episode_i in episode_is]
-    observations = [each for parts in found for each in parts[0]]
-    rows = [[row for parts in found for row in parts[kind]] for kind in (1, 2)]
+    episodes = [scenes.perceive(episode_i) for episode_i in episode_is]
+    observations = [observation for episode in episodes for observation in episode[0]]
+    rows = [[row for episode in episodes for row in episode[table]] for table in (1, 2)]
     num_views = max(setting.views for setting in scenes.settings.values())
     tensors = pack(observations, list(scenes.settings), num_views)
     write_tensors(tensors, path, {"format": OBJECTS_FORMAT, "rows": json.dumps(rows)})

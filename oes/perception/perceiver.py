@@ -13,8 +13,8 @@ from oes.config import ParamsError, from_json, to_json
 from oes.episode import Camera, Frames
 from oes.geom.camera import project
 from oes.geom.voxels import centers, crop
-from oes.objects import Objects
-from oes.perception.lift import SIGNED_DISTANCE, UNOBSERVED, Views, lift, views_of
+from oes.objects import Objects, map_tensors
+from oes.perception.lift import SIGNED_DISTANCE, UNOBSERVED, Views, camera_matrices, lift, views_of
 from oes.perception.network import PerceptionNet, PerceptionNetConfig, SceneFeatures
 from oes.perception.rays import Field
 from oes.training.precision import half_precision
@@ -44,12 +44,11 @@ class Perceiver:
             net = PerceptionNet(from_json(about.get("config", ""), PerceptionNetConfig, str(path)))
             net.load_state_dict(tensors)
         except ParamsError as error:
-            message = f"{path}: stored config is not of this version: {error}"
-            raise PerceptionFileError(message) from error
+            reason = f"stored config is not of this version: {error}"
+            raise PerceptionFileError(f"{path}: {reason}") from error
         except RuntimeError as error:
-            reason = " ".join(str(error).split())[:200]
-            message = f"{path}: weights do not fit the stored config: {reason}"
-            raise PerceptionFileError(message) from error
+            reason = "weights do not fit the stored config: " + " ".join(str(error).split())[:200]
+            raise PerceptionFileError(f"{path}: {reason}") from error
         return cls(net, device or torch.device("cpu"))
 
     def save(self, path: Path) -> None:
@@ -69,7 +68,7 @@ class Perceiver:
     def encode_views(self, views: Views) -> SceneFeatures:
         """Features of several scenes with the same number of views."""
         with half_precision(self.device):
-            return self.net.encode(views.to(self.device))
+            return self.net.encode(map_tensors(views, lambda x: x.to(self.device)))
 
     @torch.inference_mode()
     def detect(self, scene: SceneFeatures) -> tuple[Tensor, Tensor, Tensor]:
@@ -81,7 +80,7 @@ class Perceiver:
     def masks(self, scene: SceneFeatures, boxes: tuple[Tensor, Tensor]) -> Tensor:
         """Mask probabilities NXYZ of one scene's boxes, in ``net.roi.window`` around each centre.
 
-        ``boxes`` are centres N3 and sizes N3 everywhere.
+        ``boxes``, here and below: centres N3 and sizes N3.
         """
         center_N3, size_N3 = (value.to(self.device) for value in boxes)
         with half_precision(self.device):
@@ -104,35 +103,31 @@ class Perceiver:
         with half_precision(self.device):
             scene_map = self.net.scene_map(scene)
         points_1NQ3 = center_1N3[:, :, None] + centers(window, self.device).reshape(-1, 3)
-        lifted_1QC = lift(
-            self.net.cfg.lift, scene.views, scene.features_BVHWC[..., :1], points_1NQ3.flatten(1, 2)
-        ).float()
+        # A single feature: only the geometry is used.
+        inputs = scene.views, scene.features_BVHWC[..., :1], points_1NQ3.flatten(1, 2)
+        lifted_1QC = lift(self.net.cfg.lift, *inputs).float()
         behind_1Q = (1 - lifted_1QC[..., SIGNED_DISTANCE]) / 2
         depth_1Q2 = torch.stack([behind_1Q, lifted_1QC[..., UNOBSERVED]], -1)
         depth_N2XYZ = depth_1Q2.reshape(-1, *window.shape, NUM_SURFACE).movedim(-1, 1)
         features_NCXYZ = crop(scene_map, self.net.cfg.grid, center_1N3, window)[0]
         # Surfaces lie on the border of the mask, half of their voxels outside.
         dilated_N1XYZ = F.max_pool3d(mask_N1XYZ, 3, stride=1, padding=1)
-        return torch.cat(
-            [mask_N1XYZ, depth_N2XYZ * dilated_N1XYZ, features_NCXYZ * dilated_N1XYZ], dim=1
-        )
+        masked = (x * dilated_N1XYZ for x in (depth_N2XYZ, features_NCXYZ))
+        return torch.cat([mask_N1XYZ, *masked], dim=1)
 
     @torch.inference_mode()
     def surface_inputs(
         self, scene: SceneFeatures, boxes: tuple[Tensor, Tensor], mask_NXYZ: Tensor
     ) -> Tensor:
         """Inputs NCDX of the surface head for one scene's boxes and their ``masks``."""
-        head, net = self.net.surface, self.net
+        head, net, views = self.net.surface, self.net, scene.views
         center_N3, size_N3, mask_NXYZ = (x.to(self.device) for x in (*boxes, mask_NXYZ))
         points_NQ3 = head.world_points(center_N3, size_N3)
-        points_1Q3 = points_NQ3.reshape(1, -1, 3)
-        lifted_1QC = lift(
-            net.cfg.lift, scene.views, scene.features_BVHWC, points_1Q3, interpolate_depth=True
-        )
+        inputs = views, scene.features_BVHWC, points_NQ3.reshape(1, -1, 3)
+        lifted_1QC = lift(net.cfg.lift, *inputs, interpolate_depth=True)
         lifted_NQC = lifted_1QC.reshape(*points_NQ3.shape[:2], -1)
-        camera_NV3 = scene.views.world_T_cam_BV44[:, :, :3, 3].expand(len(center_N3), -1, -1)
-        box = (center_N3, size_N3)
-        return head.inputs(lifted_NQC, mask_NXYZ, net.roi.window, box, camera_NV3)
+        camera_NV3 = views.world_T_cam_BV44[:, :, :3, 3].expand(len(center_N3), -1, -1)
+        return head.inputs(lifted_NQC, mask_NXYZ, net.roi.window, (center_N3, size_N3), camera_NV3)
 
     @torch.inference_mode()
     def surfaces(
@@ -152,22 +147,23 @@ class Perceiver:
     def objects(
         self,
         scene: SceneFeatures,
-        centers_N3: Tensor,
-        sizes_N3: Tensor,
-        scores_N: Tensor,
+        scored_boxes: tuple[Tensor, Tensor, Tensor],
         frames: Frames,
         cameras: Sequence[Camera],
     ) -> Objects:
-        """Objects (unbatched, on the CPU) of one scene at given boxes; N may be 0."""
-        boxes = (centers_N3.float().cpu(), sizes_N3.float().cpu())
+        """Objects (unbatched, on the CPU) of one scene at given boxes, as of ``detect``.
+
+        ``frames`` and ``cameras``: the views of the scene. N may be 0.
+        """
+        center_N3, size_N3, score_N = (x.float().cpu() for x in scored_boxes)
+        boxes, count = (center_N3, size_N3), len(center_N3)
         crop_NCXYZ = self.crops(scene, boxes)
         profile_NRD3, com_offset_N3 = self.surfaces(scene, boxes, crop_NCXYZ[:, 0])
-        count, poses = len(centers_N3), [camera.world_T_cam_44 for camera in cameras]
-        camera_V12 = torch.from_numpy(np.stack(poses)[:, :3].reshape(-1, 12)).float()
+        camera_V12 = camera_matrices(cameras)[1][:, :3].flatten(1)
         return Objects(
-            center_N3=boxes[0],
-            size_N3=boxes[1],
-            score_N=scores_N.float().cpu(),
+            center_N3=center_N3,
+            size_N3=size_N3,
+            score_N=score_N,
             valid_N=torch.ones(count, dtype=torch.bool),
             crop_NCXYZ=crop_NCXYZ.float().cpu(),
             image_NV3HW=image_crops(boxes, frames, cameras),
@@ -186,14 +182,11 @@ class Perceiver:
     @torch.inference_mode()
     def render_fields(self, near: Field, far: Field, cameras: Sequence[Camera]) -> Frames:
         """Predicted RGB and depth (segmentation 0) of ``fields`` from cameras of one size."""
-        K_V33, world_T_cam_V44 = (
-            torch.from_numpy(np.stack(matrices)).float().to(self.device)
-            for matrices in zip(*((c.K_33, c.world_T_cam_44) for c in cameras), strict=True)
-        )
+        matrices = (x.to(self.device) for x in camera_matrices(cameras))
         fields = near.repeated(len(cameras)), far.repeated(len(cameras))
         size = (cameras[0].height_px, cameras[0].width_px)
         with half_precision(self.device):
-            rgb, depth = self.net.decoder(*fields, K_V33, world_T_cam_V44, size)
+            rgb, depth = self.net.decoder(*fields, *matrices, size)
         rgb_VHW3 = (rgb.clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
         seg_VHW = np.zeros(rgb_VHW3.shape[:3], dtype=np.uint8)
         return Frames(rgb_VHW3, depth.float().cpu().numpy(), seg_VHW)

@@ -1,19 +1,19 @@
 """Training samples: a random state of an episode, some of its views, a query view, ground truth.
 
-The whole world of a sample is rotated about the vertical, mirrored, scaled and shifted. This costs
-nothing: the network sees the world only through camera poses and depths.
+The whole world of a sample is rotated about the vertical, mirrored, scaled and shifted. Images need
+no resampling for this: only the camera poses and depths change.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from oes.config import params
-from oes.episode import Camera, Episode, Floats, Frames
+from oes.episode import Camera, Floats, Frames
 from oes.geom.boxes import aabb
 from oes.geom.se3 import rigid, rotation_z
 from oes.geom.voxels import Grid
@@ -21,6 +21,7 @@ from oes.objects import map_tensors
 from oes.perception.lift import Views, views_of
 from oes.perception.losses import PerceptionBatch
 from oes.perception.solids import Solids
+from oes.record.dataset import FrameSource
 
 
 @params
@@ -37,17 +38,6 @@ class Sampling:
     size_jitter: float
     scale: tuple[float, float]
     shift_m: float
-
-
-class Source(Protocol):
-    """Episodes with random access to their images, such as ``oes.record.dataset.FrameSource``."""
-
-    episodes: list[Episode]
-
-    def read(
-        self, episode_i: int, step_i: int, camera_is: Sequence[int]
-    ) -> tuple[Frames, tuple[Camera, ...]]:
-        """Images of one state and their cameras, in the order of ``camera_is``."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +83,7 @@ class Sampler:
     num_untransformed: int
     seed: int
     grid: Grid
-    source: Source
+    source: FrameSource
     solids: Solids
     episode_is: Sequence[int]
 
@@ -170,8 +160,8 @@ def collate(samples: Sequence[PerceptionBatch]) -> PerceptionBatch:
         shape = (1, count - x.shape[1], *x.shape[2:])
         return torch.cat([x, x.new_tensor(value).expand(shape)], dim=1)
 
-    # Padded regions are a box on the table: the second stage learns to score it 0. NaN points fall
-    # into no voxel.
+    # Padded regions are a box on the table, which the second stage learns to score 0. Points that
+    # are NaN lie in no voxel.
     values: dict[str, float | tuple[float, ...]] = {
         "center_BN3": 0.0,
         "size_BN3": 1.0,
@@ -181,7 +171,7 @@ def collate(samples: Sequence[PerceptionBatch]) -> PerceptionBatch:
         "region_size_BN3": 0.1,
     }
     first, *others = (
-        replace(x, **{name: pad(getattr(x, name), value) for name, value in values.items()})
-        for x in samples
+        replace(sample, **{name: pad(getattr(sample, name), values[name]) for name in values})
+        for sample in samples
     )
     return map_tensors(first, lambda *x: torch.cat(x), *others)

@@ -1,4 +1,4 @@
-"""Point clouds of the solids of meshes, posed and voxelised for every training sample."""
+"""Point clouds that fill the meshes of a catalogue, to be posed and voxelised per sample."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ def solids_of(catalogue: Catalogue, count: int) -> Solids:
     """``count`` points for every mesh of a catalogue; the same catalogue gives the same points."""
     meshes = catalogue.meshes.values()
     return Solids(
-        {mesh.id: solid_points(mesh.visual, mesh.parts, count, seed=0) for mesh in meshes},
+        {mesh.id: solid_points(mesh.visual, mesh.parts, count) for mesh in meshes},
         {mesh.id: sample_surface(mesh.visual, count // 4) for mesh in meshes},
     )
 
@@ -58,19 +58,18 @@ def sample_surface(visual: trimesh.Trimesh, count: int) -> tuple[Floats, Floats]
 
 
 def solid_points(
-    visual: trimesh.Trimesh, parts: tuple[trimesh.Trimesh, ...], count: int, seed: int
+    visual: trimesh.Trimesh, parts: tuple[trimesh.Trimesh, ...], count: int
 ) -> NDArray[np.float32]:
     """``count`` points P3 of a solid: half of them inside, the rest hull corners and surface.
 
     The interior of a mesh that is not watertight is that of its convex ``parts``.
     """
-    rng = np.random.default_rng(seed)
     corners = np.asarray(visual.vertices)[ConvexHull(visual.vertices, qhull_options="QJ").vertices]
     corners = corners[: count // 4]
     inner = _interior_points(visual, parts, count // 2)
     if len(inner) > count // 2:
-        inner = rng.permutation(inner)[: count // 2]
-    surface, _ = trimesh.sample.sample_surface(visual, count - len(inner) - len(corners), seed=seed)
+        inner = np.random.default_rng(0).permutation(inner)[: count // 2]
+    surface, _ = sample_surface(visual, count - len(inner) - len(corners))
     return np.concatenate([corners, inner, surface]).astype(np.float32)
 
 

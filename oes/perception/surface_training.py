@@ -1,6 +1,6 @@
-"""Training of the surface head on features that the trained, frozen network gives of many objects.
+"""Training of the surface head on features of many objects from the trained, frozen network.
 
-The features are computed once, before many passes over them.
+The features are computed once and kept in memory.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,10 @@ from oes.geom.polar import directions
 from oes.objects import LAYERS, SUPPORT, UNION, map_tensors
 from oes.perception.gt_profiles import GroundTruthProfiles
 from oes.perception.perceiver import Perceiver
-from oes.perception.samples import Source, WorldTransform, transform_views
+from oes.perception.samples import WorldTransform, transform_views
 from oes.perception.surface import SurfaceOutput, support_points
 from oes.progress import progress_bar
+from oes.record.dataset import FrameSource
 from oes.training.checkpoint import LogRow, TrainConfig
 from oes.training.loop import fit
 
@@ -56,14 +57,6 @@ class SurfaceBatch:
         """Number of objects."""
         return len(self.com_offset_P3)
 
-    def pick(self, chosen_P: Tensor | slice) -> "SurfaceBatch":
-        """Some of the objects, in float32."""
-        return map_tensors(self, lambda value: value[chosen_P].float())
-
-    def to(self, device: torch.device) -> "SurfaceBatch":
-        """The batch on a device."""
-        return map_tensors(self, lambda value: value.to(device))
-
 
 def rotate_batch(batch: SurfaceBatch, num_steps: int, is_mirrored: bool) -> SurfaceBatch:
     """The objects in a world mirrored in y, if asked for, then turned by ``num_steps``
@@ -88,7 +81,7 @@ class SurfaceSampler:
     """Objects of random states of a source, each perceived from one to three random views."""
 
     perceiver: Perceiver
-    source: Source
+    source: FrameSource
     gt_profiles: GroundTruthProfiles
     cfg: SurfaceTraining
 
@@ -121,14 +114,11 @@ class SurfaceSampler:
         # Ray casting in float64 starts at the axis before it is rounded to float32.
         base_N1 = support_points(*boxes)[:, 2:].double().numpy()
         support_N3 = np.concatenate([center_N3[:, :2], base_N1], -1)
-        poses_N44 = step.world_T_obj_N44.copy()
+        poses_N44 = step.world_T_obj_N44[object_is]
         poses_N44[:, :3, 3] *= scale
-        scaled = replace(
-            episode,
-            bodies=tuple(replace(body, scale_3=body.scale_3 * scale) for body in episode.bodies),
-            steps=(replace(step, world_T_obj_N44=poses_N44),),
-        )
-        radius_NRD, com_N3 = self.gt_profiles.of_state(scaled, 0, support_N3, object_is)
+        bodies = [episode.bodies[i] for i in object_is]
+        bodies = [replace(body, scale_3=body.scale_3 * scale) for body in bodies]
+        radius_NRD, com_N3 = self.gt_profiles.of_bodies(bodies, poses_N44, support_N3)
         features = perceiver.encode_views(views)
         masks = perceiver.masks(features, boxes)
         inputs_PCDX = perceiver.surface_inputs(features, boxes, masks)
@@ -149,15 +139,17 @@ def train_surface(
     """
     head, device, cfg = sampler.perceiver.net.surface, sampler.perceiver.device, sampler.cfg
     train = sampler.gather(cfg.num_objects, episode_is[0])
-    validation = sampler.gather(max(1, cfg.num_objects // 15), episode_is[1]).to(device)
+    validation = sampler.gather(max(1, cfg.num_objects // 15), episode_is[1])
+    validation = map_tensors(validation, lambda x: x.to(device))
 
     def batch_at(step: int) -> SurfaceBatch:
         generator = torch.Generator().manual_seed(cfg.fit.seed * 1_000_003 + step)
         chosen_P = torch.randint(len(train), (cfg.fit.batch,), generator=generator)
         num_turns = train.radius_PRD.shape[-1] * 2
         turn_i = int(torch.randint(num_turns, (1,), generator=generator))
-        batch = rotate_batch(train.pick(chosen_P), turn_i // 2, turn_i % 2 == 1)
-        return batch.to(device)
+        batch = map_tensors(train, lambda x: x[chosen_P].float())
+        batch = rotate_batch(batch, turn_i // 2, turn_i % 2 == 1)
+        return map_tensors(batch, lambda x: x.to(device))
 
     weights, validate = dict.fromkeys(TERMS, 1.0), partial(surface_metrics, batch=validation)
     with torch.enable_grad():
@@ -195,17 +187,13 @@ def surface_metrics(net: nn.Module, batch: SurfaceBatch) -> dict[str, float]:
     output = map_tensors(parts[0], lambda *values: torch.cat(values), *parts[1:])
     present_PRD = batch.radius_PRD > 0
     error_mm_PRD = (output.radius_PRD - batch.radius_PRD).abs() * 1e3
-    rows = {
-        "union": slice(UNION, UNION + 1),
-        "support": slice(SUPPORT, SUPPORT + 1),
-        "layer": slice(LAYERS, None),
-    }
+    rows: dict[str, int | slice]
+    rows = {"union": UNION, "support": SUPPORT, "layer": slice(LAYERS, None)}
     metrics = {
-        f"val_{name}_mm": error_mm_PRD[:, row][present_PRD[:, row]].mean()
+        f"val_{name}_mm": float(error_mm_PRD[:, row][present_PRD[:, row]].mean())
         for name, row in rows.items()
     }
-    metrics["val_presence_error"] = ((output.presence_logit_PRD > 0) != present_PRD).float().mean()
+    is_wrong_PRD = (output.presence_logit_PRD > 0) != present_PRD
     com_error_P = (output.com_offset_P3 - batch.com_offset_P3).norm(dim=-1)
-    return {name: float(value) for name, value in metrics.items()} | {
-        "val_com_offset_mm": float(com_error_P.mean()) * 1e3
-    }
+    metrics["val_presence_error"] = float(is_wrong_PRD.float().mean())
+    return metrics | {"val_com_offset_mm": float(com_error_P.mean()) * 1e3}

@@ -8,13 +8,15 @@ import torch
 from torch import Tensor, nn
 
 from oes.config import params
+from oes.objects import map_tensors
 from oes.perception import evaluate
 from oes.perception.losses import LOSS_TERMS, PerceptionBatch, losses
 from oes.perception.network import PerceptionNet, PerceptionNetConfig
 from oes.perception.perceiver import Perceiver
-from oes.perception.samples import Sampler, Sampling, Source
+from oes.perception.samples import Sampler, Sampling
 from oes.perception.solids import Solids
 from oes.perception.surface_training import SurfaceTraining
+from oes.record.dataset import FrameSource
 from oes.training.checkpoint import LogRow
 from oes.training.loop import TrainConfig, fit
 
@@ -43,7 +45,7 @@ class PerceptionConfig:
     surface: SurfaceTraining
 
     def __post_init__(self) -> None:
-        """Raises ValueError where the weights do not name the losses."""
+        """Raises ValueError unless ``weights`` has exactly the keys ``LOSS_TERMS``."""
         if set(self.weights) != set(LOSS_TERMS):
             names = ", ".join(self.weights)
             raise ValueError(f"weights: expected exactly {', '.join(LOSS_TERMS)}; found {names}")
@@ -57,7 +59,7 @@ class PerceptionConfig:
 
 
 def train_perception(
-    cfg: PerceptionConfig, source: Source, solids: Solids, work: Path, device: torch.device
+    cfg: PerceptionConfig, source: FrameSource, solids: Solids, work: Path, device: torch.device
 ) -> tuple[Perceiver, list[LogRow]]:
     """Train all but the surface head; returns the perceiver and the rows of the log.
 
@@ -79,7 +81,8 @@ def train_perception(
 
     def loss(net: nn.Module, batch: PerceptionBatch) -> dict[str, Tensor]:
         assert isinstance(net, PerceptionNet)
-        return losses(net, batch.to(device), cfg.num_proposals, cfg.num_rendered)
+        batch = map_tensors(batch, lambda x: x.to(device))
+        return losses(net, batch, cfg.num_proposals, cfg.num_rendered)
 
     validate = partial(
         validation_metrics, source=source, solids=solids, episode_is=validation_is, device=device
@@ -89,12 +92,12 @@ def train_perception(
 
 
 def validation_metrics(
-    net: nn.Module, source: Source, solids: Solids, episode_is: range, device: torch.device
+    net: nn.Module, source: FrameSource, solids: Solids, episode_is: range, device: torch.device
 ) -> dict[str, float]:
     """``val_...``: detection and view prediction from one view of each episode's first state."""
     assert isinstance(net, PerceptionNet)
     perceiver = Perceiver(net, device)
-    rows: list[evaluate.PerceptionRow] = []
+    detections: list[evaluate.PerceptionRow] = []
     views: list[evaluate.PerceptionRow] = []
     for episode_i in episode_is:
         # Seeded by the episode: the same cameras at every checkpoint, and no effect on training.
@@ -103,10 +106,10 @@ def validation_metrics(
         camera_is = rng.choice(len(episode.steps[0].cameras), 2, replace=False).tolist()
         scene = perceiver.encode(*source.read(episode_i, 0, camera_is[:1]))
         truth = evaluate.gt_objects(episode, 0, solids)
-        found = evaluate.detection_rows(perceiver, scene, truth)
-        rows += [row | {"episode": episode_i} for row in found]
+        rows = evaluate.detection_rows(perceiver, scene, truth)
+        detections += [row | {"episode": episode_i} for row in rows]
         frames, (camera,) = source.read(episode_i, 0, camera_is[1:])
         views.append(evaluate.view_row(perceiver, scene, frames, camera))
     means = {name: float(np.mean([row[name] or 0.0 for row in views])) for name in views[0]}
-    metrics = evaluate.detection_summary(rows) | means
+    metrics = evaluate.detection_summary(detections) | means
     return {f"val_{name}": value for name, value in metrics.items()}

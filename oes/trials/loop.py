@@ -1,39 +1,26 @@
 """One trial of model predictive control in the simulator (paper 3.3, 4.2 and appendix C.3).
 
-At every step the planner gets one RGB-D image from a random camera of the rig. It knows the goals
-and the initial positions, but never the true state, which only sets up and scores the trial. An
-object that is not detected keeps the position that the world model predicted.
+At every step the planner gets one RGB-D image from a random camera of the rig, the goals and the
+initial positions, but never the true state. An object that is not detected keeps the position that
+the world model predicted.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oes.episode import FIRST_OBJECT, ROBOT, Body, Camera, Floats, Step
+from oes.episode import FIRST_OBJECT, ROBOT, Camera, Floats, Step
 from oes.mpc.sampler import PlannerConfig
 from oes.mpc.search import Plan, PlanError
 from oes.sim.arm import ReachError
+from oes.sim.pushing import PushWorld
 from oes.trials.planner import CameraObservation, Planner
 from oes.trials.task import Task, TrialScenario
 from oes.trials.world_models import StateEstimate
 
 COLLIDED = "collision with an obstacle"
-
-
-class PushEnv(Protocol):
-    """Environment of a trial, such as ``oes.sim.pushing.PushWorld``."""
-
-    def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_xy_m: Floats) -> None:
-        """Set up a scene."""
-
-    def push(self, tip_start_xy_m: Floats, action_3: Floats, rng: np.random.Generator) -> Step:
-        """Push once and return the settled state."""
-
-    def step_now(self, rng: np.random.Generator) -> Step:
-        """The current state, with newly sampled cameras."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +49,7 @@ class TrialResult:
 
 
 def run_trial(
-    env: PushEnv,
+    env: PushWorld,
     sensor: Callable[[Step, Camera], CameraObservation],
     planner: Planner,
     task: Task,
@@ -94,7 +81,11 @@ def run_trial(
             break
         try:
             plan = planner.plan(estimate, task.goal_G3, planner_cfg, plan_rng)
-            state = _execute(env, plan, camera_rng)
+            if plan is None:
+                state = env.step_now(camera_rng)
+            else:
+                tip_3, action_3 = (x.double().numpy() for x in (plan.tip_3, plan.actions_T3[0]))
+                state = env.push(tip_3[:2], action_3, camera_rng)
         except (PlanError, ReachError) as error:
             failure = str(error)
             break
@@ -112,13 +103,6 @@ def _failure_reason(state: Step, num_goals: int) -> str:
         return "an object fell off the table"
     obstacle = FIRST_OBJECT + num_goals
     return COLLIDED if state.contact_AA[ROBOT:obstacle, obstacle:].any() else ""
-
-
-def _execute(env: PushEnv, plan: Plan | None, rng: np.random.Generator) -> Step:
-    """The state after the plan's first action."""
-    if plan is None:
-        return env.step_now(rng)
-    return env.push(plan.tip_3[:2].double().numpy(), plan.actions_T3[0].double().numpy(), rng)
 
 
 def _goal_distance(position_N3: Floats, goal_G3: Floats) -> Floats:

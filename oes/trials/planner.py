@@ -1,18 +1,18 @@
-"""The planner of a trial: observations in, pushes out. It has no access to the simulator."""
+"""The planner of a trial: from observations to pushes, without access to the simulator."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from oes.config import params
 from oes.episode import Camera, Floats, Frames
 from oes.mpc.cost import AvoidConfig, GoalCost
 from oes.mpc.sampler import PlannerConfig, PushConfig, PushSampler
 from oes.mpc.scene import PlanningScene, Rod, object_footprint
-from oes.mpc.search import Candidates, Plan, RiskConfig, Rollouts, search
+from oes.mpc.search import Plan, RiskConfig, search
 from oes.mpc.tracking import update_tracks
 from oes.perception.perceiver import Perceiver
 from oes.trials.world_models import StateEstimate, WorldModel
@@ -74,7 +74,7 @@ class Planner:
         gate_m = self.cfg.track.gate_m
         tracks = update_tracks(center_N3, size_N3, center_P3, size_P3, gate_m)
         center, size, score = (torch.from_numpy(x).float() for x in tracks)
-        objects = self.perceiver.objects(scene, center, size, score, frames, cameras)
+        objects = self.perceiver.objects(scene, (center, size, score), frames, cameras)
         return StateEstimate(objects, *tracks, observation.overhead_HW3)
 
     def plan(
@@ -87,20 +87,16 @@ class Planner:
         scene = self._planning_scene(estimate, len(goal_G3))
         cost = GoalCost(scene, goal_G3, self.cfg.avoid)
         sampler, headings_G = PushSampler(scene, self.cfg.push, rng), cost.headings()
-        risk = None
-        if self.world_model.is_stochastic and cfg.num_samples > 1:
-            risk = RiskConfig(cfg.num_reranked, cfg.num_samples, self.cfg.risk_weight)
-
-        def propose(elites_SC: Tensor | None) -> Candidates:
-            return sampler(cfg, headings_G, elites_SC)
-
-        def unroll(candidates: Candidates, num_samples: int) -> Rollouts:
-            return self.world_model.predict(estimate, goal_G3, candidates, num_samples)
-
-        plan = search(propose, unroll, cost, cfg.iterations, cfg.num_elites, risk)
-        # Image-based models predict costs on a scale of their own, without one for no motion.
-        has_own_cost = self.world_model.view is not None
-        return plan if has_own_cost or plan.cost < cost.initial() else None
+        is_risky = self.world_model.is_stochastic and cfg.num_samples > 1
+        risk = RiskConfig(cfg.num_reranked, cfg.num_samples, self.cfg.risk_weight)
+        propose = partial(sampler, cfg, headings_G)
+        unroll = partial(self.world_model.predict, estimate, goal_G3)
+        plan = search(
+            propose, unroll, cost, cfg.iterations, cfg.num_elites, risk if is_risky else None
+        )
+        # Costs of image-based models are not comparable to the initial cost.
+        is_image_based = self.world_model.view is not None
+        return plan if is_image_based or plan.cost < cost.initial() else None
 
     def _planning_scene(self, estimate: StateEstimate, num_goals: int) -> PlanningScene:
         occupancy_NXYZ = estimate.objects.crop_NCXYZ[:, 0].float().cpu().numpy()

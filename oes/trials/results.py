@@ -37,9 +37,9 @@ def write_videos(
     """Videos of the first ``num_videos`` successes and failures of each planner."""
     names: Videos = {}
     for planner, is_success in product(scenario.planners, (True, False)):
-        own = [t for t in trials if t.planner == planner and t.result and t.result.steps]
+        finished = [t for t in trials if t.planner == planner and t.result]
         label = "success" if is_success else "failure"
-        chosen = [t for t in own if t.succeeds(scenario.success_m) == is_success]
+        chosen = [t for t in finished if t.succeeds(scenario.success_m) == is_success]
         for trial in chosen[:num_videos]:
             assert trial.task is not None and trial.result is not None
             name = names[planner, trial.trial_i] = f"{planner}_{trial.trial_i:03d}_{label}.mp4"

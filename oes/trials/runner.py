@@ -43,7 +43,7 @@ _perceiver = lru_cache(maxsize=1)(Perceiver.load)
 
 
 class ScenarioError(ValueError):
-    """A scenario that params.yaml does not have."""
+    """A scenario name that params.yaml does not define."""
 
 
 @params

@@ -108,8 +108,9 @@ def _attempt(
 
 def _boxes(objects: Sequence[tuple[Mesh, Body]], poses: Floats) -> tuple[Floats, Floats]:
     """Box centres N3 and sizes N3 of posed bodies."""
-    boxes = [true_box(*one, pose) for one, pose in zip(objects, poses, strict=True)]
-    return np.array([center for center, _ in boxes]), np.array([size for _, size in boxes])
+    boxes = [true_box(*pair, pose) for pair, pose in zip(objects, poses, strict=True)]
+    centers, sizes = zip(*boxes, strict=True)
+    return np.array(centers), np.array(sizes)
 
 
 def _goals(
@@ -178,8 +179,6 @@ def _obstacles(
 def _near(path_22: Floats, cfg: ObstaclesConfig, rng: np.random.Generator) -> Floats:
     along = path_22[1] - path_22[0]
     normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
-    fraction, lateral_m = (
-        rng.uniform(*cfg.path_fraction),
-        rng.uniform(-cfg.lateral_m, cfg.lateral_m),
-    )
+    fraction = rng.uniform(*cfg.path_fraction)
+    lateral_m = rng.uniform(-cfg.lateral_m, cfg.lateral_m)
     return np.asarray(path_22[0] + fraction * along + lateral_m * normal)

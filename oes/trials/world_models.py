@@ -1,28 +1,24 @@
 """World models of the planner: an object graph, Visual Foresight or PlaNet.
 
-The image-based models see overhead images without the arm, and choose pushes from the same
-detections as the graph models. Beyond that, PlaNet uses no detections; Visual Foresight designates
-the pixels of the detected centres.
+``predict`` gives the outcomes of candidate plans, in up to ``num_samples`` futures each if the
+model ``is_stochastic``; the first G objects have goals. ``view`` is the overhead camera of an
+image-based model, else None. Image-based models get images without the arm. Their candidate plans
+start from the same detections, which PlaNet does not use otherwise; Visual Foresight designates the
+pixels of the detected centres.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from oes.baselines import visual_foresight as foresight
 from oes.baselines.overhead_camera import OverheadCamera, OverheadView
 from oes.baselines.planet import PlaNet, unroll_latent
 from oes.baselines.train import is_baseline, load_baseline
-from oes.baselines.visual_foresight import (
-    VisualForesight,
-    expected_pixel,
-    pixel_grid,
-    unroll_pixels,
-)
 from oes.dynamics.checkpoint import load_model
 from oes.dynamics.unroll import DynamicsModel, initial_state, unroll_samples
 from oes.episode import Floats
@@ -39,25 +35,6 @@ class StateEstimate:
     size_N3: Floats
     is_detected_N: NDArray[np.bool_]
     overhead_HW3: NDArray[np.uint8] | None
-
-
-class WorldModel(Protocol):
-    """Predictor of the outcome of candidate plans.
-
-    ``view``: the overhead camera of an image-based model, else None. ``is_stochastic``: whether
-    ``predict`` can sample several futures.
-    """
-
-    @property
-    def view(self) -> OverheadView | None: ...
-
-    @property
-    def is_stochastic(self) -> bool: ...
-
-    def predict(
-        self, estimate: StateEstimate, goal_G3: Floats, candidates: Candidates, num_samples: int = 1
-    ) -> Rollouts:
-        """Outcomes in up to ``num_samples`` futures per plan; the first G objects have goals."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +81,7 @@ class ForesightWorldModel:
     Cost: expected distance of the designated pixels to the goals' pixels (metres).
     """
 
-    net: VisualForesight
+    net: foresight.VisualForesight
     view: OverheadView
     is_stochastic: bool = False
 
@@ -115,15 +92,15 @@ class ForesightWorldModel:
         """Objects keep their height and orientation."""
         camera, image, pushes = _image_inputs(self.view, estimate, candidates)
         start_N2 = torch.from_numpy(camera.project(estimate.center_N3)).float()
-        _, maps_STNHW = unroll_pixels(self.net, image, start_N2, *pushes)
-        pixels = [expected_pixel(maps_SNHW) for maps_SNHW in maps_STNHW.unbind(1)]
+        _, maps_STNHW = foresight.unroll_pixels(self.net, image, start_N2, *pushes)
+        pixels = [foresight.expected_pixel(maps_SNHW) for maps_SNHW in maps_STNHW.unbind(1)]
         pixel_STN2 = torch.stack(pixels, 1).double().numpy()
         z_STN = np.broadcast_to(estimate.center_N3[:, 2], pixel_STN2.shape[:-1])
         xy_STN2 = camera.unproject(pixel_STN2, z_STN)
         position = torch.from_numpy(np.concatenate([xy_STN2, z_STN[..., None]], -1)).float()
         goal_G2 = torch.from_numpy(camera.project(goal_G3)).float()
         height, width = maps_STNHW.shape[-2:]
-        offset_GHW2 = pixel_grid(height, width, maps_STNHW) - goal_G2[:, None, None]
+        offset_GHW2 = foresight.pixel_grid(height, width, maps_STNHW) - goal_G2[:, None, None]
         moved_STGHW = maps_STNHW[:, :, : len(goal_G3)]
         distance_STG = (moved_STGHW * offset_GHW2.norm(dim=-1)).sum((-2, -1))
         cost_ST = distance_STG.mean(-1) * self.view.half_m
@@ -179,11 +156,14 @@ def _image_inputs(
     return camera, image_3HW, (tip_SI2[:, 0], tip_SI2.diff(dim=1))
 
 
+WorldModel = GraphWorldModel | ForesightWorldModel | PlanetWorldModel
+
+
 def load_world_model(folder: Path) -> WorldModel:
     """The model in ``folder``. Raises as ``load_model`` and ``load_baseline``."""
     if not is_baseline(folder):
         return GraphWorldModel(load_model(folder))
     net, view = load_baseline(folder)
-    if isinstance(net, VisualForesight):
+    if isinstance(net, foresight.VisualForesight):
         return ForesightWorldModel(net, view)
     return PlanetWorldModel(net, view)
