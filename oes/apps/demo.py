@@ -5,33 +5,23 @@ of meshes if there is none.
 """
 
 import logging
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oes.apps.assets import DATASETS, KEPT, find_catalogue, find_weights
 from oes.cli import run
 from oes.config import PARAMS, load, params
-from oes.episode import Body, Floats, Step
+from oes.episode import Floats, Pixels, Step
 from oes.meshes.catalogue import Catalogue
-from oes.mpc.search import Plan
 from oes.perception.perceiver import Perceiver
-from oes.sim.rig import rig
-from oes.sim.world import SimConfig, World
-from oes.trials.loop import StepRecord, TrialResult, run_trial
-from oes.trials.runner import (
-    CAMERA_STREAM,
-    PLAN_STREAM,
-    TASK_STREAM,
-    CameraSensor,
-    TrialsConfig,
-    make_planner,
-)
-from oes.trials.task import Task, TrialScenario, draw_task, generator
+from oes.sim.pushing import PushWorld
+from oes.sim.world import SimConfig
+from oes.trials import runner
+from oes.trials.loop import StepRecord, run_trial
+from oes.trials.task import Task, draw_task, generator
 from oes.trials.trial_video import observed_image
 from oes.trials.world_models import load_world_model
 from oes.viz.overlay import FORECAST, GOAL, PUSH, CameraOverlay
@@ -41,6 +31,7 @@ log = logging.getLogger(__name__)
 
 SCENARIO, PLANNER, MODEL = "targets", "cem", "oes"
 DEMO_FILE = Path("demo.mp4")
+ROD_LENGTH_M = 0.15
 
 
 @params
@@ -60,91 +51,26 @@ def main(cfg: DemoConfig) -> None:
 
     Raises WeightsMissing.
     """
-    trials = load(PARAMS, "trials", TrialsConfig)
+    trials = load(PARAMS, "trials", runner.TrialsConfig)
     scenario = replace(trials.scenarios[SCENARIO], num_objects=(1, 1), goal_distance_m=cfg.goal_m)
     perception, dynamics = find_weights((KEPT, DATASETS), (MODEL,))
-    catalogue = find_catalogue()
-    planner = make_planner(trials, Perceiver.load(perception), load_world_model(dynamics[MODEL]))
-    rngs = [
-        generator(cfg.seed, "demo", 0, stream)
-        for stream in (TASK_STREAM, CAMERA_STREAM, PLAN_STREAM)
-    ]
-    task = draw_task(catalogue, trials.sim, scenario, rngs[TASK_STREAM])
-    sensor = CameraSensor(catalogue, trials.sim, task.bodies)
+    catalogue, model = find_catalogue(), load_world_model(dynamics[MODEL])
+    planner = runner.make_planner(trials, Perceiver.load(perception), model)
+    streams = (runner.TASK_STREAM, runner.CAMERA_STREAM, runner.PLAN_STREAM)
+    task_rng, *rngs = (generator(cfg.seed, "demo", 0, stream) for stream in streams)
+    task = draw_task(catalogue, trials.sim, scenario, task_rng)
+    sensor = runner.CameraSensor(catalogue, trials.sim, task.bodies)
     with SteppedPushWorld(catalogue, trials.sim, scenario.settle_ms, cfg.frames_per_push) as world:
         search = scenario.planners[PLANNER]
-        result = run_trial(
-            world, sensor, planner, task, scenario, search, (rngs[CAMERA_STREAM], rngs[PLAN_STREAM])
-        )
-        write_video(
-            video_frames(result, world.pushes, sensor, task, scenario, cfg), DEMO_FILE, cfg.fps
-        )
+        result = run_trial(world, sensor, planner, task, scenario, search, (rngs[0], rngs[1]))
+        video = DemoVideo(cfg, sensor, task, scenario.success_m)
+        write_video(video.frames(result.steps, world.pushes), DEMO_FILE, cfg.fps)
     start_mm, end_mm = result.initial_G.mean() * 1e3, result.final_G.mean() * 1e3
     distances = f"{start_mm:.0f} mm from the goal at the start, {end_mm:.0f} mm"
     log.info("%s: %s after %d pushes", DEMO_FILE, distances, result.steps_used)
 
 
-def video_frames(
-    result: TrialResult,
-    pushes: Sequence[Sequence[Step]],
-    sensor: CameraSensor,
-    task: Task,
-    scenario: TrialScenario,
-    cfg: DemoConfig,
-) -> Iterator[NDArray[np.uint8]]:
-    """Left the planner's observation and forecast, right the execution, from the same camera."""
-    hold = round(cfg.hold_s * cfg.fps)
-    done = iter(pushes)
-    for record in result.steps:
-        before = _beside(record, 0.0, record.rgb_HW3, task, scenario, cfg)
-        yield from [before] * hold
-        if record.plan is None:
-            continue
-        states = next(done)
-        for state_i, state in enumerate(states):
-            rgb_HW3 = sensor(state, record.camera).frames.rgb_VHW3[0]
-            yield _beside(
-                record, min(1.0, state_i / cfg.frames_per_push), rgb_HW3, task, scenario, cfg
-            )
-        yield from [_beside(record, 1.0, rgb_HW3, task, scenario, cfg)] * hold
-
-
-def _beside(
-    record: StepRecord,
-    share: float,
-    rgb_HW3: NDArray[np.uint8],
-    task: Task,
-    scenario: TrialScenario,
-    cfg: DemoConfig,
-) -> NDArray[np.uint8]:
-    """The forecast (after ``share`` of the push) and the execution, side by side."""
-    imagined = observed_image(record, task.goal_G3, scenario.success_m, cfg.zoom)
-    imagined.label("forecast" if record.plan else "observed")
-    if record.plan is not None:
-        _draw_forecast(
-            imagined, record.plan, record.estimate.center_N3, record.estimate.size_N3, share
-        )
-    real = CameraOverlay(rgb_HW3, record.camera, cfg.zoom)
-    for goal in task.goal_G3:
-        real.ring(goal * [1, 1, 0], scenario.success_m, GOAL)
-    real.label("executed")
-    return np.concatenate([imagined.pixels, real.pixels], axis=1)
-
-
-def _draw_forecast(
-    picture: CameraOverlay, chosen: Plan, center_N3: Floats, size_N3: Floats, share: float
-) -> None:
-    """Draw the rod and the boxes after ``share`` of the push, interpolated linearly."""
-    tip, action = chosen.tip_3.double().numpy(), chosen.actions_T3[0].double().numpy()
-    picture.arrow(tip, action, PUSH)
-    picture.line(np.stack([tip + share * action, tip + share * action + [0, 0, 0.15]]), PUSH)
-    for start, end, size in zip(
-        center_N3, chosen.position_TN3[0].double().numpy(), size_N3, strict=True
-    ):
-        picture.box(start + share * (end - start), size, FORECAST)
-
-
-class SteppedPushWorld:
+class SteppedPushWorld(PushWorld):
     """A PushWorld that records the states during every push: ``pushes[i]``, from start to rest."""
 
     def __init__(
@@ -152,39 +78,69 @@ class SteppedPushWorld:
     ) -> None:
         """Raises ValueError unless a timestep divides into states of whole physics steps."""
         timestep_ms = sim.physics.timestep_ms // states_per_push
-        slow = replace(sim, physics=replace(sim.physics, timestep_ms=timestep_ms))
-        self._world, self._sim = World(catalogue, slow), sim
-        self._settle_ms, self._parts = settle_ms, states_per_push
+        physics = replace(sim.physics, timestep_ms=timestep_ms)
+        super().__init__(catalogue, replace(sim, physics=physics), settle_ms)
+        self.num_parts = states_per_push
         self.pushes: list[list[Step]] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._world.__exit__(*error)
-
-    def reset(self, bodies: Sequence[Body], world_T_obj_N44: Floats, tip_xy_m: Floats) -> None:
-        """Set the scene and let it settle."""
-        self._world.reset(bodies, world_T_obj_N44, self._tip(tip_xy_m))
-        self._world.run(self._settle_ms)
 
     def push(self, tip_start_xy_m: Floats, action_3: Floats, rng: np.random.Generator) -> Step:
         """One push in equal parts at the same speed, then rest."""
         self._world.arm.reset_to(self._tip(tip_start_xy_m))
         states = [self._world.step(0, ())]
-        for _ in range(self._parts):
-            self._world.push(action_3 / self._parts)
+        for _ in range(self.num_parts):
+            self._world.push(action_3 / self.num_parts)
             states.append(self._world.step(0, ()))
         self._world.run(self._settle_ms)
         self.pushes.append([*states, self._world.step(0, ())])
         return self.step_now(rng)
 
-    def step_now(self, rng: np.random.Generator) -> Step:
-        """The state now, with fresh cameras."""
-        return self._world.step(0, rig(self._sim.rig, rng))
 
-    def _tip(self, xy_m: Floats) -> Floats:
-        return np.array([xy_m[0], xy_m[1], self._sim.robot.tip_height_m])
+@dataclass(frozen=True)
+class DemoVideo:
+    """Frames of a trial: the planner's observation and forecast left, the execution right."""
+
+    cfg: DemoConfig
+    sensor: runner.CameraSensor
+    task: Task
+    success_m: float
+
+    def frames(self, records: tuple[StepRecord, ...], pushes: list[list[Step]]) -> Iterator[Pixels]:
+        """All frames, from the camera that the planner used at each step."""
+        hold, remaining = round(self.cfg.hold_s * self.cfg.fps), iter(pushes)
+        for record in records:
+            yield from [self._frame(record, 0.0, record.rgb_HW3)] * hold
+            if record.plan is None:
+                continue
+            for state_i, state in enumerate(next(remaining)):
+                share = min(1.0, state_i / self.cfg.frames_per_push)
+                rgb_HW3 = self.sensor(state, record.camera).frames.rgb_VHW3[0]
+                yield self._frame(record, share, rgb_HW3)
+            yield from [self._frame(record, 1.0, rgb_HW3)] * hold
+
+    def _frame(self, record: StepRecord, share: float, rgb_HW3: Pixels) -> Pixels:
+        """The forecast after ``share`` of the push beside the executed state."""
+        left = observed_image(record, self.task.goal_G3, self.success_m, self.cfg.zoom)
+        left.label("forecast" if record.plan else "observed")
+        _draw_forecast(left, record, share)
+        right = CameraOverlay(rgb_HW3, record.camera, self.cfg.zoom)
+        for goal in self.task.goal_G3:
+            right.ring(goal * [1, 1, 0], self.success_m, GOAL)
+        right.label("executed")
+        return np.concatenate([left.pixels, right.pixels], axis=1)
+
+
+def _draw_forecast(overlay: CameraOverlay, record: StepRecord, share: float) -> None:
+    """Draw the rod and the boxes after ``share`` of the push, interpolated linearly."""
+    if record.plan is None:
+        return
+    tip_3, action_3 = record.plan.tip_3.double().numpy(), record.plan.actions_T3[0].double().numpy()
+    overlay.arrow(tip_3, action_3, PUSH)
+    rod_3 = tip_3 + share * action_3
+    overlay.line(np.stack([rod_3, rod_3 + np.array([0, 0, ROD_LENGTH_M])]), PUSH)
+    end_N3 = record.plan.position_TN3[0].double().numpy()
+    estimate = record.estimate
+    for start, end, size in zip(estimate.center_N3, end_N3, estimate.size_N3, strict=True):
+        overlay.box(start + share * (end - start), size, FORECAST)
 
 
 if __name__ == "__main__":
