@@ -1,10 +1,8 @@
-"""Analytic scenes for tests of perception: coloured boxes on a table, ray cast with numpy, as
-episodes in memory.
-"""
+"""Analytic scenes for tests of perception: ray-cast coloured boxes on a table, in memory."""
 
 from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import cast as cast_to
+from typing import cast
 
 import numpy as np
 import trimesh
@@ -39,22 +37,22 @@ TABLE = (
 
 def cameras(count: int = 6, size_px: int = 64) -> tuple[Camera, ...]:
     """Cameras 1 m from the table, spread over azimuths, elevations 25 to 55 degrees."""
-    found = []
+    result = []
     for camera_i, azimuth in enumerate(np.linspace(-1.5, 1.5, count)):
         elevation = np.radians(25 + 15 * (camera_i % 3))
         level = np.cos(elevation)
         eye = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
         target = np.array([0.0, 0.0, 0.1])
         pose = look_at(eye + target, target)
-        found.append(
+        result.append(
             Camera(
                 f"cam_{camera_i:02d}", intrinsics(42.0, size_px, size_px), pose, size_px, size_px
             )
         )
-    return tuple(found)
+    return tuple(result)
 
 
-def cast(
+def ray_cast(
     camera: Camera, solids: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray]:
     """RGB and z-depth of boxes given by size, world_T_box and colour, on a black background."""
@@ -78,7 +76,7 @@ def cast(
 
 
 class BoxWorld:
-    """A source of one-state episodes with one or two boxes each, none under the other."""
+    """A source in memory of one-state episodes with one or two boxes each, side by side."""
 
     def __init__(self, count: int, seed: int = 0, size_px: int = 64) -> None:
         self.episodes = [
@@ -88,24 +86,24 @@ class BoxWorld:
     def read(
         self, episode_i: int, step_i: int, camera_is: Sequence[int]
     ) -> tuple[Frames, tuple[Camera, ...]]:
-        """Ray cast the views asked for."""
+        """Ray-cast images of one state, and their cameras."""
         episode = self.episodes[episode_i]
         step = episode.steps[step_i]
-        found = tuple(step.cameras[i] for i in camera_is)
+        cameras = tuple(step.cameras[i] for i in camera_is)
         colors = [
             np.random.default_rng(body.texture_seed).integers(60, 255, 3) for body in episode.bodies
         ]
         sizes = [np.array(SIZES[body.mesh]) for body in episode.bodies]
         images = [
-            cast(camera, [TABLE, *zip(sizes, step.world_T_obj_N44, colors, strict=True)])
-            for camera in found
+            ray_cast(camera, [TABLE, *zip(sizes, step.world_T_obj_N44, colors, strict=True)])
+            for camera in cameras
         ]
         rgb, depth = (np.stack(values) for values in zip(*images, strict=True))
-        return Frames(rgb, depth, np.zeros(depth.shape, np.uint8)), found
+        return Frames(rgb, depth, np.zeros(depth.shape, np.uint8)), cameras
 
 
 def box_solids(count: int = 2048) -> Solids:
-    """Solid points of the two meshes."""
+    """Point clouds that fill the two meshes."""
     boxes = {name: trimesh.creation.box(size) for name, size in SIZES.items()}
     return Solids(
         {name: solid_points(box, (box,), count) for name, box in boxes.items()},
@@ -114,12 +112,12 @@ def box_solids(count: int = 2048) -> Solids:
 
 
 def box_gt_profiles() -> GroundTruthProfiles:
-    """Their ground-truth profiles."""
+    """Ground-truth radial profiles of the two meshes."""
     meshes = {
         name: SimpleNamespace(visual=trimesh.creation.box(size), com_obj_3=np.zeros(3))
         for name, size in SIZES.items()
     }
-    return GroundTruthProfiles(cast_to(Catalogue, SimpleNamespace(meshes=meshes)), CYLINDER)
+    return GroundTruthProfiles(cast(Catalogue, SimpleNamespace(meshes=meshes)), CYLINDER)
 
 
 def small_network() -> PerceptionNetConfig:
@@ -154,7 +152,7 @@ def small_network() -> PerceptionNetConfig:
 
 
 def sampling() -> Sampling:
-    """One or two views, moderate motions of the world."""
+    """One or two views, and small random transforms of the world."""
     return Sampling(
         views_share=(0.5, 0.5),
         center_jitter_m=0.01,
@@ -167,12 +165,12 @@ def sampling() -> Sampling:
 def _episode(rng: np.random.Generator, index: int, size_px: int) -> Episode:
     count = int(rng.integers(1, 3))
     names = rng.choice(list(SIZES), count).tolist()
-    sides = [-1.0, 1.0]
+    side = [-1.0, 1.0]  # of the table, so that boxes do not overlap
     poses = [
         rigid(
             rotation_z(rng.uniform(0, 3)),
             np.array(
-                [rng.uniform(-0.15, 0.15), sides[i] * rng.uniform(0.08, 0.16), SIZES[name][2] / 2]
+                [rng.uniform(-0.15, 0.15), side[i] * rng.uniform(0.08, 0.16), SIZES[name][2] / 2]
             ),
         )
         for i, name in enumerate(names)

@@ -1,4 +1,4 @@
-"""Detection on its own: targets, peaks, suppression, matching."""
+"""The detector: training targets, peaks, non-maximum suppression and matching."""
 
 import numpy as np
 import torch
@@ -21,36 +21,37 @@ CFG = DetectorConfig(
 VOXELS = centers(GRID.halved())
 
 
-def test_suppression_keeps_the_best_of_overlapping_boxes_and_takes_none() -> None:
+def test_nms_keeps_the_best_of_overlapping_boxes_and_accepts_no_boxes() -> None:
     boxes = torch.tensor([[0.0, 0, 0], [0.01, 0, 0], [0.2, 0, 0], [0.075, 0, 0]])
     kept = nms_3d(boxes, torch.full((4, 3), 0.1), torch.tensor([0.6, 0.9, 0.5, 0.7]), max_iou=0.25)
     assert kept.tolist() == [1, 3, 2]
     assert nms_3d(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), 0.2).tolist() == []
 
 
-def test_deltas_turn_one_box_into_the_other() -> None:
+def test_apply_deltas_inverts_box_deltas() -> None:
     center, size, to_center, to_size = torch.rand(4, 5, 3) * 0.2 + 0.05
-    found = apply_deltas(center, size, box_deltas(center, size, to_center, to_size, 0.12), 0.12)
-    torch.testing.assert_close(found[0], to_center)
-    torch.testing.assert_close(found[1], to_size)
+    deltas = box_deltas(center, size, to_center, to_size, 0.12)
+    result = apply_deltas(center, size, deltas, 0.12)
+    torch.testing.assert_close(result[0], to_center)
+    torch.testing.assert_close(result[1], to_size)
 
 
-def test_perfect_dense_output_has_its_peaks_at_the_objects_and_nearly_no_loss() -> None:
+def test_ideal_dense_output_has_its_peaks_at_the_objects_and_almost_no_loss() -> None:
     true = (
         torch.tensor([[[0.103, -0.052, 0.044], [-0.124, 0.105, 0.033]]]),
         torch.tensor([[[0.1, 0.06, 0.08], [0.2, 0.1, 0.06]]]),
     )
     distance = (VOXELS[None] - true[0][0][:, None, None, None]).square().sum(-1)
-    closeness = (-distance / (2 * CFG.sigma_m**2)).exp().clamp(1e-6, 1 - 1e-6)
-    nearest = closeness.argmax(0)
-    wanted = box_deltas(
+    heatmap = (-distance / (2 * CFG.sigma_m**2)).exp().clamp(1e-6, 1 - 1e-6)
+    nearest = heatmap.argmax(0)
+    target = box_deltas(
         VOXELS, CFG.anchor_m, true[0][0][nearest], true[1][0][nearest], CFG.anchor_m
     )
-    deltas = wanted.movedim(-1, 0)[None]
-    logits = torch.logit(closeness.amax(0))[None]
-    found, sizes, scores = top_peaks(CFG, logits, deltas, VOXELS, 2)
-    order = found[0, :, 0].argsort(descending=True)
-    torch.testing.assert_close(found[0, order], true[0][0], atol=1e-4, rtol=0)
+    deltas = target.movedim(-1, 0)[None]
+    logits = torch.logit(heatmap.amax(0))[None]
+    peaks, sizes, scores = top_peaks(CFG, logits, deltas, VOXELS, 2)
+    order = peaks[0, :, 0].argsort(descending=True)
+    torch.testing.assert_close(peaks[0, order], true[0][0], atol=1e-4, rtol=0)
     torch.testing.assert_close(sizes[0, order], true[1][0], atol=1e-4, rtol=0)
     assert scores.min() > 0.5
     terms = detection_losses(
@@ -66,11 +67,11 @@ def test_a_scene_without_objects_has_a_finite_loss() -> None:
     assert terms["box"] == 0 and torch.isfinite(terms["objectness"])
 
 
-def test_matching_is_one_to_one_within_reach() -> None:
+def test_matching_is_one_to_one_within_a_distance() -> None:
     true = np.array([[0.0, 0, 0], [0.1, 0, 0]])
-    found = np.array([[0.04, 0, 0], [0.01, 0, 0], [0.3, 0, 0]])
-    assert match_detections(found, true).tolist() == [-1, 0, -1]
+    detected = np.array([[0.04, 0, 0], [0.01, 0, 0], [0.3, 0, 0]])
+    assert match_detections(detected, true).tolist() == [-1, 0, -1]
     assert match_detections(np.array([[0.045, 0, 0], [0.01, 0, 0]]), true).tolist() == [1, 0]
-    assert match_detections(np.zeros((0, 3)), true).tolist() == [] and match_detections(
-        found, np.zeros((0, 3))
-    ).tolist() == [-1, -1, -1]
+    nothing = np.zeros((0, 3))
+    assert match_detections(nothing, true).tolist() == []
+    assert match_detections(detected, nothing).tolist() == [-1, -1, -1]

@@ -1,6 +1,4 @@
-"""The lift: a rendered box's surface stands where the box is, and the views' order does not
-matter.
-"""
+"""The lift: signed distances, free space and features at points around rendered boxes."""
 
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ def lifted(views: Views, points: torch.Tensor) -> torch.Tensor:
     return lift(CFG, views, views.rgb_BVHW3, points)
 
 
-def test_points_in_front_on_and_behind_a_surface_are_told_apart() -> None:
+def test_points_in_front_of_on_and_behind_a_surface_are_distinguished() -> None:
     world = BoxWorld(1)
     step = world.episodes[0].steps[0]
     views = views_of(*world.read(0, 0, [1]))
@@ -28,10 +26,10 @@ def test_points_in_front_on_and_behind_a_surface_are_told_apart() -> None:
     eye = step.cameras[1].world_T_cam_44[:3, 3]
     ray = (eye - top) / np.linalg.norm(eye - top)
     points = torch.tensor(np.stack([top + 0.1 * ray, top, top - 0.045 * ray])).float()[None]
-    distance, near, free, unseen = lifted(views, points)[0, :, :4].unbind(-1)
+    distance, near, free, unobserved = lifted(views, points)[0, :, :4].unbind(-1)
     assert distance[0] == 1 and free.tolist() == [1, 0, 0]
     assert abs(float(distance[1])) < 0.25 and near[1] > 0.75
-    assert unseen.tolist() == [0, 0, 1]
+    assert unobserved.tolist() == [0, 0, 1]
 
 
 def test_surface_voxels_carry_the_colour_of_the_box() -> None:
@@ -39,11 +37,13 @@ def test_surface_voxels_carry_the_colour_of_the_box() -> None:
     episode = world.episodes[0]
     color = np.random.default_rng(episode.bodies[0].texture_seed).integers(60, 255, 3) / 255
     top = episode.steps[0].center_N3[0] + [0, 0, episode.steps[0].size_N3[0, 2] / 2]
-    found = lifted(views_of(*world.read(0, 0, [1, 2])), torch.tensor(top).float()[None, None])[0, 0]
-    np.testing.assert_allclose(found[4:], color, atol=0.02)
+    result = lifted(views_of(*world.read(0, 0, [1, 2])), torch.tensor(top).float()[None, None])[
+        0, 0
+    ]
+    np.testing.assert_allclose(result[4:], color, atol=0.02)
 
 
-def test_between_pixels_a_flat_surface_is_where_it_is() -> None:
+def test_interpolated_depth_of_a_plane_is_exact() -> None:
     world = BoxWorld(1)
     step = world.episodes[0].steps[0]
     views = views_of(*world.read(0, 0, [1]))
@@ -52,33 +52,33 @@ def test_between_pixels_a_flat_surface_is_where_it_is() -> None:
     top = torch.tensor(
         np.column_stack([inner[:, :2], np.full(len(inner), center[2] + size[2] / 2)])
     ).float()[None]
-    nearest, between = (
+    nearest, interpolated = (
         lift(CFG, views, views.rgb_BVHW3, top, interpolate_depth=flag)[..., 0].abs()
         * CFG.truncation_m
         for flag in (False, True)
     )
-    assert between.max() < 1e-5
+    assert interpolated.max() < 1e-5
     assert nearest.max() > 1e-3
 
 
-def test_between_pixels_an_edge_stays_sharp() -> None:
+def test_interpolated_depth_keeps_edges_sharp() -> None:
     world = BoxWorld(1)
     views = views_of(*world.read(0, 0, [1]))
     depth = torch.full_like(views.depth_m_BVHW, 0.8)
     middle = depth.shape[-1] // 2
     depth[..., middle:] = 1.0
     edge = Views(views.rgb_BVHW3, depth, views.K_BV33, views.world_T_cam_BV44)
-    rays = torch.tensor([[middle + aside, 20.2, 1.0] for aside in (-1.1, -0.1, 0.1, 1.1)])
+    rays = torch.tensor([[middle + du, 20.2, 1.0] for du in (-1.1, -0.1, 0.1, 1.1)])
     points_cam = rays @ torch.linalg.inv(views.K_BV33[0, 0]).mT * 0.9
     points_world = transform(views.world_T_cam_BV44[:, 0], points_cam[None])
-    found = lift(CFG, edge, views.rgb_BVHW3, points_world, interpolate_depth=True)[0]
-    assert found[:, 3].tolist() == [
+    result = lift(CFG, edge, views.rgb_BVHW3, points_world, interpolate_depth=True)[0]
+    assert result[:, 3].tolist() == [
         1,
         1,
         0,
         0,
-    ]  # hidden behind the near side, in the open before the far one
-    assert found[:, 2].tolist() == [0, 0, 1, 1]
+    ]  # occluded by the near side, free in front of the far side
+    assert result[:, 2].tolist() == [0, 0, 1, 1]
 
 
 def test_the_order_of_views_does_not_matter_and_scenes_do_not_mix() -> None:
@@ -100,15 +100,20 @@ def test_a_moved_world_is_seen_as_the_same_world() -> None:
     sampler = Sampler(sampling(), 1, 0, 0, GRID, world, box_solids(), [0])
     motion = random_world_transform(sampler.cfg, rng)
     points = np.random.default_rng(0).uniform(-0.2, 0.2, (500, 3)) * [1, 1, 0.4] + [0, 0, 0.05]
-    still = sampler.sample(0, 0, [0, 2], IDENTITY, rng).views
-    moved = sampler.sample(0, 0, [0, 2], motion, rng).views
+    original = sampler.sample(0, 0, [0, 2], IDENTITY, rng).views
+    transformed = sampler.sample(0, 0, [0, 2], motion, rng).views
     scaled = LiftConfig(truncation_m=CFG.truncation_m * motion.scale)
-    before = lift(CFG, still, still.rgb_BVHW3, torch.tensor(points).float()[None])
-    after = lift(scaled, moved, moved.rgb_BVHW3, torch.tensor(motion.points(points)).float()[None])
+    before = lift(CFG, original, original.rgb_BVHW3, torch.tensor(points).float()[None])
+    after = lift(
+        scaled,
+        transformed,
+        transformed.rgb_BVHW3,
+        torch.tensor(motion.points(points)).float()[None],
+    )
     assert ((before - after).abs().amax(-1) < 1e-3).float().mean() > 0.98
 
 
-def test_images_without_their_cameras_are_refused() -> None:
+def test_missing_cameras_or_images_are_rejected() -> None:
     frames, cameras = BoxWorld(1).read(0, 0, [0, 1])
     with pytest.raises(ValueError, match="2 images for 1 cameras"):
         views_of(frames, cameras[:1])

@@ -1,4 +1,4 @@
-"""The network as a whole: batches, empty scenes, files, and that it learns."""
+"""The perception network: batches, empty scenes, weight files and overfitting one scene."""
 
 from pathlib import Path
 
@@ -20,58 +20,53 @@ from tests.perception_scenes import GRID, BoxWorld, box_solids, sampling, small_
 CPU = torch.device("cpu")
 
 
-def perceiver(seed: int = 0) -> Perceiver:
-    torch.manual_seed(seed)
+def make_perceiver() -> Perceiver:
+    torch.manual_seed(0)
     return Perceiver(PerceptionNet(small_network()), CPU)
 
 
-def test_a_batch_is_its_scenes_one_by_one() -> None:
-    world, net = BoxWorld(2), perceiver().net
+def test_scenes_of_a_batch_are_independent() -> None:
+    world, net = BoxWorld(2), make_perceiver().net
     scenes = [views_of(*world.read(i, 0, [1, 4])) for i in range(2)]
     both = Views(
         **{name: torch.cat([getattr(views, name) for views in scenes]) for name in vars(scenes[0])}
     )
     boxes = torch.tensor([[[0.0, 0.1, 0.03]], [[0.05, -0.1, 0.03]]]), torch.full((2, 1, 3), 0.1)
     with torch.no_grad():
-        together = net.encode(both)
-        masks = net.regions(together, boxes).mask_BNXYZ
+        batched = net.encode(both)
+        masks = net.regions(batched, boxes).mask_BNXYZ
         for i, views in enumerate(scenes):
-            alone = net.encode(views)
+            single = net.encode(views)
             torch.testing.assert_close(
-                together.coarse_BCXYZ[i : i + 1], alone.coarse_BCXYZ, atol=1e-3, rtol=1e-3
+                batched.coarse_BCXYZ[i : i + 1], single.coarse_BCXYZ, atol=1e-3, rtol=1e-3
             )
-            mask = net.regions(alone, (boxes[0][i : i + 1], boxes[1][i : i + 1])).mask_BNXYZ
+            mask = net.regions(single, (boxes[0][i : i + 1], boxes[1][i : i + 1])).mask_BNXYZ
             torch.testing.assert_close(masks[i : i + 1], mask, atol=1e-3, rtol=1e-3)
 
 
-def test_a_scene_of_nothing_gives_no_objects() -> None:
-    world, seer = BoxWorld(1), perceiver()
+def test_an_empty_scene_has_no_objects() -> None:
+    world, perceiver = BoxWorld(1), make_perceiver()
     frames, cameras = world.read(0, 0, [0, 1])
-    nothing = Frames(frames.rgb_VHW3 * 0, frames.depth_m_VHW * 0, frames.seg_VHW)
-    torch.nn.init.constant_(seer.net.roi.box[-1].bias, -9.0)
-    scene = seer.encode(nothing, cameras)
-    boxes = seer.detect(scene)
+    empty = Frames(frames.rgb_VHW3 * 0, frames.depth_m_VHW * 0, frames.seg_VHW)
+    torch.nn.init.constant_(perceiver.net.roi.box[-1].bias, -9.0)
+    scene = perceiver.encode(empty, cameras)
+    boxes = perceiver.detect(scene)
     assert [len(value) for value in boxes] == [0, 0, 0]
-    objects = seer.objects(scene, boxes, nothing, cameras)
-    assert objects.crop_NCXYZ.shape == (0, 7, 16, 16, 16) and objects.image_NV3HW.shape == (
-        0,
-        2,
-        3,
-        32,
-        32,
-    )
-    rows = detection_rows(seer, scene, gt_objects(world.episodes[0], 0, box_solids()))
+    objects = perceiver.objects(scene, boxes, empty, cameras)
+    assert objects.crop_NCXYZ.shape == (0, 7, 16, 16, 16)
+    assert objects.image_NV3HW.shape == (0, 2, 3, 32, 32)
+    rows = detection_rows(perceiver, scene, gt_objects(world.episodes[0], 0, box_solids()))
     assert len(rows) == len(world.episodes[0].bodies) and all(row["score"] is None for row in rows)
     assert detection_summary([row | {"episode": 0} for row in rows])["ap_25"] == 0
 
 
-def test_objects_hold_masked_features_and_the_image_around_each_box() -> None:
-    world, seer = BoxWorld(1), perceiver()
+def test_objects_contain_masked_features_and_image_crops() -> None:
+    world, perceiver = BoxWorld(1), make_perceiver()
     step = world.episodes[0].steps[0]
     frames, cameras = world.read(0, 0, [0, 3])
     centers, sizes = torch.tensor(step.center_N3), torch.tensor(step.size_N3)
     boxes = centers, sizes, torch.ones(len(centers))
-    objects = seer.objects(seer.encode(frames, cameras), boxes, frames, cameras)
+    objects = perceiver.objects(perceiver.encode(frames, cameras), boxes, frames, cameras)
     mask, behind, hidden = objects.crop_NCXYZ[:, :3].unbind(1)
     assert 0 <= mask.min() and mask.max() <= 1
     assert (
@@ -86,19 +81,21 @@ def test_objects_hold_masked_features_and_the_image_around_each_box() -> None:
     )
 
 
-def test_weights_survive_their_file_and_views_are_predicted_from_any_camera(tmp_path: Path) -> None:
-    world, seer = BoxWorld(1), perceiver()
-    seer.save(tmp_path / "a.safetensors")
+def test_loaded_weights_render_the_same_view(tmp_path: Path) -> None:
+    world, perceiver = BoxWorld(1), make_perceiver()
+    perceiver.save(tmp_path / "a.safetensors")
     again = Perceiver.load(tmp_path / "a.safetensors")
     frames, cameras = world.read(0, 0, [2])
-    image = seer.render(seer.encode(frames, cameras), world.episodes[0].steps[0].cameras[5])
+    image = perceiver.render(
+        perceiver.encode(frames, cameras), world.episodes[0].steps[0].cameras[5]
+    )
     assert image.shape == (64, 64, 3) and image.dtype == np.uint8
     np.testing.assert_array_equal(
         again.render(again.encode(frames, cameras), world.episodes[0].steps[0].cameras[5]), image
     )
 
 
-def test_broken_and_foreign_weights_are_refused_by_name(tmp_path: Path) -> None:
+def test_invalid_weight_files_are_rejected_with_their_name(tmp_path: Path) -> None:
     path = tmp_path / "weights.safetensors"
     with pytest.raises(PerceptionFileError, match=r"weights.safetensors: not a readable"):
         Perceiver.load(path)
@@ -108,8 +105,8 @@ def test_broken_and_foreign_weights_are_refused_by_name(tmp_path: Path) -> None:
     save_file({"a": torch.zeros(1)}, path)
     with pytest.raises(PerceptionFileError, match="format is None"):
         Perceiver.load(path)
-    seer = perceiver()
-    seer.save(path)
+    perceiver = make_perceiver()
+    perceiver.save(path)
     tensors, config = load_file(path), to_json(small_network())
     save_file(
         tensors,
@@ -125,7 +122,7 @@ def test_broken_and_foreign_weights_are_refused_by_name(tmp_path: Path) -> None:
         Perceiver.load(path)
 
 
-def test_batches_depend_on_the_step_alone_and_never_ask_for_an_input_view() -> None:
+def test_batches_depend_on_the_step_only_and_query_no_input_view() -> None:
     sampler = Sampler(sampling(), 2, 1, 0, GRID, BoxWorld(4), box_solids(), range(4))
     once, twice, later = sampler.batch_at(5), sampler.batch_at(5), sampler.batch_at(6)
     torch.testing.assert_close(once.views.depth_m_BVHW, twice.views.depth_m_BVHW)
@@ -135,7 +132,7 @@ def test_batches_depend_on_the_step_alone_and_never_ask_for_an_input_view() -> N
     assert ((inputs - query).abs().flatten(2).amax(-1) > 1e-3).all()
 
 
-def test_training_on_one_scene_finds_its_objects() -> None:
+def test_overfitting_one_scene_reduces_its_losses() -> None:
     torch.manual_seed(0)
     net, world = PerceptionNet(small_network()), BoxWorld(1, seed=2)
     sampler = Sampler(sampling(), 1, 0, 0, GRID, world, box_solids(), [0])

@@ -74,26 +74,18 @@ def as_profile(radius_RD: np.ndarray) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4])
-def test_gt_profiles_are_those_of_the_turned_box_in_every_layer(turn: float) -> None:
-    found = brick_radii(turn)
+def test_gt_profiles_of_a_rotated_box_are_analytic_in_every_layer(turn: float) -> None:
+    radius_RD = brick_radii(turn)
     unit_D2 = directions(CYLINDER.num_directions).double().numpy() @ rotation_z(turn)[:2, :2]
     box = (np.array(SIZES["brick"][:2]) / 2 / np.abs(unit_D2).clip(1e-9)).min(-1)
-    for row in (
-        UNION,
-        UPPER,
-        SUPPORT,
-        LAYERS,
-        LAYERS + 1,
-        LAYERS + 2,
-    ):  # layers of 20 mm; a brick is 60 mm high
-        assert found[row] == pytest.approx(box, abs=1e-4), row
-    assert (found[LAYERS + 3] == 0).all()
+    # Layers of 20 mm; a brick is 60 mm high.
+    for row in (UNION, UPPER, SUPPORT, LAYERS, LAYERS + 1, LAYERS + 2):
+        assert radius_RD[row] == pytest.approx(box, abs=1e-4), row
+    assert (radius_RD[LAYERS + 3] == 0).all()
 
 
-def test_the_support_of_an_object_that_widens_upwards_is_smaller_than_its_lowest_layer() -> None:
-    """A cup of 20 mm radius below, 50 mm above; its box is 4 mm too low, and the support is still
-    that of the cup.
-    """
+def test_the_support_of_a_cup_is_smaller_than_its_lowest_layer() -> None:
+    """Radius 20 mm at the bottom, 50 mm at the top; the box is 4 mm too low."""
     rings = [
         np.pad(r * directions(64).numpy(), ((0, 0), (0, 1)), constant_values=z)
         for r, z in ((0.02, -0.03), (0.05, 0.03))
@@ -103,31 +95,29 @@ def test_the_support_of_an_object_that_widens_upwards_is_smaller_than_its_lowest
         visual=trimesh.convex.convex_hull(np.concatenate(rings)), com_obj_3=np.zeros(3)
     )
     gt_profiles.catalogue.meshes["brick"] = cast(Mesh, cup)
-    found = gt_profiles.radii(
+    radius_RD = gt_profiles.radii(
         BRICK, rigid(np.eye(3), np.array([0.0, 0.0, 0.03])), np.array([0.0, 0.0, -0.004])
     )
-    assert found[SUPPORT] == pytest.approx(0.02, abs=1e-3)
-    assert found[LAYERS].min() > 0.025
+    assert radius_RD[SUPPORT] == pytest.approx(0.02, abs=1e-3)
+    assert radius_RD[LAYERS].min() > 0.025
 
 
 def test_the_point_cloud_of_a_profile_is_close_to_the_surface() -> None:
-    """Layers of 20 mm and 32 directions describe a brick to a few millimetres, its lid and bottom
-    included.
-    """
+    """A brick in layers of 20 mm and 32 directions, with its top and bottom."""
     points_P3, normals_P3 = profile_to_point_cloud(
         as_profile(brick_radii()), CYLINDER, SIZES["brick"][2]
     )
     assert float(points_P3[:, 2].min()) == 0 and float(points_P3[:, 2].max()) == pytest.approx(0.06)
     pose = rigid(np.eye(3), np.array([0.0, 0.0, 0.03]))
     true_P3, true_normals_P3 = box_solids().surface(BRICK, pose)
-    found = points_P3.double().numpy(), normals_P3.double().numpy()
-    assert chamfer_mm(found[0], true_P3) < 5.0
-    assert normal_deg(*found, true_P3, true_normals_P3) < 15.0
-    nothing, up = profile_to_point_cloud(torch.zeros(CYLINDER.num_rows, 8, 3), CYLINDER, 0.06)
-    assert nothing.tolist() == [[0, 0, 0]] and up.tolist() == [[0, 0, 1]]
+    cloud = points_P3.double().numpy(), normals_P3.double().numpy()
+    assert chamfer_mm(cloud[0], true_P3) < 5.0
+    assert normal_deg(*cloud, true_P3, true_normals_P3) < 15.0
+    empty, up = profile_to_point_cloud(torch.zeros(CYLINDER.num_rows, 8, 3), CYLINDER, 0.06)
+    assert empty.tolist() == [[0, 0, 0]] and up.tolist() == [[0, 0, 1]]
 
 
-def test_a_larger_object_has_larger_radii_in_more_layers() -> None:
+def test_scaled_profiles_have_scaled_radii_and_numbers_of_layers() -> None:
     profile = as_profile(brick_radii())
     grown, shrunk = scale_profiles(profile, 1.4), scale_profiles(profile, 0.5)
     torch.testing.assert_close(grown[UNION, :, RADIUS], 1.4 * profile[UNION, :, RADIUS])
@@ -137,22 +127,22 @@ def test_a_larger_object_has_larger_radii_in_more_layers() -> None:
     torch.testing.assert_close(shrunk[LAYERS, :, SCALE], 0.5 * profile[LAYERS, :, SCALE])
 
 
-def test_the_head_is_equivariant_to_turns_and_batches_mirror_with_the_world() -> None:
+def test_the_head_is_equivariant_to_rotations_and_batches_are_mirrored_with_the_world() -> None:
     net = make_perceiver().net.surface
     torch.nn.init.normal_(net.head.weight, std=0.1)
     batch = SurfaceSampler(make_perceiver(), BoxWorld(3), box_gt_profiles(), TRAINING).gather(
         4, range(3)
     )
     with torch.no_grad():
-        plain, after = (
-            net(batch.inputs_PCDX.float()),
-            net(rotate_batch(batch, 5, False).inputs_PCDX.float()),
-        )
-    torch.testing.assert_close(after.radius_PRD, plain.radius_PRD.roll(5, -1), atol=1e-4, rtol=1e-3)
-    c, s = directions(CYLINDER.num_directions)[5]
-    turn_22 = torch.stack([torch.stack([c, -s]), torch.stack([s, c])])
+        plain = net(batch.inputs_PCDX.float())
+        rotated = net(rotate_batch(batch, 5, False).inputs_PCDX.float())
     torch.testing.assert_close(
-        after.com_offset_P3[:, :2], plain.com_offset_P3[:, :2] @ turn_22.T, atol=1e-5, rtol=1e-3
+        rotated.radius_PRD, plain.radius_PRD.roll(5, -1), atol=1e-4, rtol=1e-3
+    )
+    c, s = directions(CYLINDER.num_directions)[5]
+    R_22 = torch.stack([torch.stack([c, -s]), torch.stack([s, c])])
+    torch.testing.assert_close(
+        rotated.com_offset_P3[:, :2], plain.com_offset_P3[:, :2] @ R_22.T, atol=1e-5, rtol=1e-3
     )
     mirrored = rotate_batch(batch, 0, True)
     torch.testing.assert_close(mirrored.radius_PRD[..., 1:], batch.radius_PRD.flip(-1)[..., :-1])
@@ -178,6 +168,6 @@ def test_training_the_head_reduces_its_error_and_changes_nothing_else(tmp_path: 
     assert other[-1]["loss"] == rows[-1]["loss"], "the same seed"
 
 
-def test_a_number_of_radii_that_cannot_be_halved_for_all_channels_is_refused() -> None:
+def test_a_number_of_radii_that_cannot_be_halved_for_all_channels_is_rejected() -> None:
     with pytest.raises(ValueError, match="multiple of 16 for 3 channels; found 24"):
         SurfaceHeadConfig(cylinder=CYLINDER, channels=(8, 8, 8), width=16, direction_features=16)

@@ -86,7 +86,7 @@ class FutureEvaluator:
         yield from self._detection_rows(T, name, frames, cameras, center_N3)
 
     def detector_baseline(self, T: int) -> Iterator[FutureRow]:
-        """``consistency`` of recorded images and true objects: the detector's share of the error."""
+        """``consistency`` of recorded images and true objects: the error of the detector alone."""
         frames, cameras = self._images(T)
         center_N3 = self.scenario.episode.steps[T].center_N3
         yield from self._detection_rows(T, PHOTOGRAPH, frames, cameras, center_N3)
