@@ -217,7 +217,7 @@ def keys(tree: Any, prefix: str = "") -> Iterator[str]:
 
 
 def pipeline(root: Path) -> dict[str, Any]:
-    """The stages by name; one written as foreach ... do is told as its do, with the foreach."""
+    """The stages by name; a foreach ... do is flattened to its do, with the foreach beside it."""
     stages: dict[str, Any] = yaml.safe_load((root / "dvc.yaml").read_text(encoding="utf-8"))[
         "stages"
     ]
