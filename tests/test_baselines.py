@@ -1,4 +1,4 @@
-"""The video-prediction baselines: their camera, their clips, and that each learns a toy world."""
+"""The video-prediction baselines: camera, clips, and training on a moving square."""
 
 from pathlib import Path
 
@@ -70,18 +70,16 @@ def _squares(count: int, seed: int) -> Clips:
     """A red square of 10 pixels on grey that moves with the rod at its centre."""
     rng = np.random.default_rng(seed)
     start, push = rng.uniform(-0.4, 0.4, (count, 1, 2)), rng.uniform(-0.12, 0.12, (count, 5, 2))
-    place = torch.from_numpy(
-        start + np.concatenate([np.zeros((count, 1, 2)), push.cumsum(1)], 1)
-    ).float()
+    path = start + np.concatenate([np.zeros((count, 1, 2)), push.cumsum(1)], 1)
+    position = torch.from_numpy(path).float()
     frame = torch.full((count, 6, 3, 64, 64), 128, dtype=torch.uint8)
     line = (torch.arange(64) + 0.5) / 32 - 1
     y, x = torch.meshgrid(line, line, indexing="ij")
-    inside = ((x - place[..., 0, None, None]).abs() < 0.16) & (
-        (y - place[..., 1, None, None]).abs() < 0.16
-    )
+    offset_x, offset_y = (c - position[..., i, None, None] for i, c in enumerate((x, y)))
+    inside = (offset_x.abs() < 0.16) & (offset_y.abs() < 0.16)
     frame[:, :, 0][inside] = 250
     frame[:, :, 1:].permute(0, 1, 3, 4, 2)[inside] = 20
-    return Clips(frame, place, place[:, :, None], torch.ones(count, 1, dtype=torch.bool))
+    return Clips(frame, position, position[:, :, None], torch.ones(count, 1, dtype=torch.bool))
 
 
 def test_overhead_camera_unproject_inverts_project() -> None:
@@ -95,21 +93,20 @@ def test_overhead_camera_unproject_inverts_project() -> None:
     assert camera.unproject(ndc, world[:, 2]) == pytest.approx(world[:, :2])
 
 
-def test_clips_show_objects_at_their_coordinates(tmp_path: Path) -> None:
+def test_objects_appear_at_their_image_coordinates(tmp_path: Path) -> None:
     catalogue, cfg = make_catalogue(tmp_path / "meshes"), load(SMOKE, "episodes", EpisodesConfig)
     episode = simulate(catalogue, cfg, "pushing", "test2", 0)
     clips = make_clips([episode], catalogue, OverheadConfig(view=VIEW, sim=cfg.sim))
     assert clips.frame_BI3HW.shape == (1, len(episode.steps), 3, 64, 64) and clips.valid_BN.all()
     empty = clips.frame_BI3HW.float().amax((0, 1))
-    for place in clips.object_BIN2[0, 0]:
-        column, row = ((place + 1) * 32).long().tolist()
+    for position in clips.object_BIN2[0, 0]:
+        column, row = ((position + 1) * 32).long().tolist()
         around = clips.frame_BI3HW[0, 0, :, row - 1 : row + 2, column - 1 : column + 2].float()
         assert (around - empty[:, :1, :1]).abs().mean() > 5
     write_clips(clips, VIEW, tmp_path)
     again, view = read_clips(tmp_path)
-    assert view == VIEW and all(
-        torch.equal(a, b) for a, b in zip(vars(clips).values(), vars(again).values(), strict=True)
-    )
+    assert view == VIEW
+    assert all(torch.equal(value, vars(again)[name]) for name, value in vars(clips).items())
     (tmp_path / "clips.safetensors").write_bytes(b"junk")
     with pytest.raises(ClipsError, match=r"clips.safetensors: not a readable"):
         read_clips(tmp_path)
@@ -148,9 +145,8 @@ def test_a_known_flow_warps_probability_maps() -> None:
     mask = torch.zeros(1, 3, 64, 64)
     mask[:, 0] = 1
     start = pixel_distribution(torch.tensor([[[0.1, -0.2]]]), 64, 64)
-    assert expected_pixel(start)[0, 0].tolist() == pytest.approx(
-        [0.1, -0.2], abs=1e-3
-    ) and start.sum() == pytest.approx(1)
+    assert expected_pixel(start)[0, 0].tolist() == pytest.approx([0.1, -0.2], abs=1e-3)
+    assert start.sum() == pytest.approx(1)
     warped = FlowWarp(flow, mask)(start, start)
     assert expected_pixel(warped)[0, 0].tolist() == pytest.approx([0.1 + 4 / 32, -0.2], abs=1e-3)
 
@@ -160,13 +156,9 @@ def test_visual_foresight_learns_to_move_a_square(tmp_path: Path) -> None:
     assert isinstance(net, VisualForesight)
     rows, image = forecast_rows(net, _squares(8, 1), VIEW.half_m)
     last = [row for row in rows if row["T"] == 3]
-    assert np.mean([row["error_mm"] for row in last]) < 0.6 * np.mean(
-        [row["still_mm"] for row in last]
-    )
-    assert (
-        np.mean([row["psnr_db"] for row in last])
-        > np.mean([row["still_psnr_db"] for row in last]) + 1
-    )
+    mean = {name: np.mean([row[name] for row in last]) for name in last[0]}
+    assert mean["error_mm"] < 0.6 * mean["still_mm"]
+    assert mean["psnr_db"] > mean["still_psnr_db"] + 1
     assert image.shape == (4 * 2 * 64, 6 * 64, 3)
 
 
@@ -185,9 +177,8 @@ def test_goals_are_ordered_like_objects_from_left_to_right() -> None:
         clips.frame_BI3HW, clips.tip_BI2, objects, torch.tensor([[True, True], [True, False]])
     )
     ordered, goals = draw_goals(clips, 2, 0.5)
-    assert ordered[0, 0, :, 0].tolist() == pytest.approx([-0.3, 0.3]) and ordered[
-        1, 0, 0, 0
-    ] == pytest.approx(0.3)
+    assert ordered[0, 0, :, 0].tolist() == pytest.approx([-0.3, 0.3])
+    assert ordered[1, 0, 0, 0] == pytest.approx(0.3)
     assert goals[:, :, 2].tolist() == [[1, 1], [1, 0]]
     goals = torch.tensor([[[-0.3, 0.2, 1.0], [0.3, 0.3, 1.0]], [[0.3, 0.4, 1.0], [0, 0, 0]]])
     assert distance_to_goals(ordered[:, 0], goals).tolist() == pytest.approx([0.2, 0.4])
@@ -211,14 +202,12 @@ def test_saved_baselines_load_again(tmp_path: Path) -> None:
         train_baseline(CFG, "sora", _squares(2, 0), tmp_path, torch.device("cpu"))
 
 
-def test_unrolled_pixel_maps_stay_distributions() -> None:
+def test_unrolled_pixel_maps_remain_distributions() -> None:
     torch.manual_seed(0)
     net = VisualForesight(CFG.visual_foresight.net).eval()
     frames, maps = unroll_pixels(
         net, torch.rand(3, 64, 64), torch.zeros(2, 2), torch.zeros(4, 2), torch.full((4, 3, 2), 0.1)
     )
     assert frames.shape == (4, 3, 3, 64, 64) and maps.shape == (4, 3, 2, 64, 64)
-    assert (
-        maps.sum((-2, -1)).flatten().tolist() == pytest.approx([1.0] * 24, abs=1e-4)
-        and maps.min() >= 0
-    )
+    assert maps.sum((-2, -1)).flatten().tolist() == pytest.approx([1.0] * 24, abs=1e-4)
+    assert maps.min() >= 0

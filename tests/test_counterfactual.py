@@ -141,43 +141,27 @@ def test_edits_change_true_and_perceived_objects_alike(world: tuple[Scenario, tu
         3: [add_object(scenario, 2, shift)],
     }
     for count, scenarios in changes.items():
-        for found in scenarios:
-            first, objects = found.episode.steps[0], found.scene.objects
-            assert (
-                len(found.episode.bodies)
-                == len(first.center_N3)
-                == len(first.world_T_obj_N44)
-                == count
-            )
-            assert (
-                len(objects.center_N3)
-                == len(found.scene.truth)
-                == len(found.poses.source_N)
-                == count + 1
-            )
-            for i, true_i in enumerate(found.scene.truth):
-                drawn = (
-                    scenario.scene.objects.center_N3[found.poses.source_N[i]]
-                    + found.poses.translation_N3[i]
-                )
-                torch.testing.assert_close(drawn, objects.center_N3[i])
+        for edited in scenarios:
+            first, objects = edited.episode.steps[0], edited.scene.objects
+            true = edited.episode.bodies, first.center_N3, first.world_T_obj_N44
+            assert [len(x) for x in true] == [count] * 3
+            perceived = objects.center_N3, edited.scene.truth, edited.poses.source_N
+            assert [len(x) for x in perceived] == [count + 1] * 3
+            for i, true_i in enumerate(edited.scene.truth):
+                source = scenario.scene.objects.center_N3[edited.poses.source_N[i]]
+                composed = source + edited.poses.translation_N3[i]
+                torch.testing.assert_close(composed, objects.center_N3[i])
                 if true_i >= 0:
-                    assert objects.center_N3[i].numpy() == pytest.approx(
-                        first.center_N3[true_i], abs=1e-6
-                    )
-    grown = changes[2][1]
-    ratio = grown.episode.bodies[0].scale_3 / scenario.episode.bodies[0].scale_3
-    assert ratio == pytest.approx(1.3) and float(grown.poses.scale_N[2]) == pytest.approx(1.3)
-    shape = (
-        grown.scene.objects.radial_profile_NRD3[2, 0, :, 0]
-        / scenario.scene.objects.radial_profile_NRD3[2, 0, :, 0]
-    )
-    assert shape.numpy() == pytest.approx(1.3)
-    bottom = grown.episode.steps[0].center_N3[0, 2] - grown.episode.steps[0].size_N3[0, 2] / 2
-    assert bottom == pytest.approx(
-        1.3
-        * (scenario.episode.steps[0].center_N3[0, 2] - scenario.episode.steps[0].size_N3[0, 2] / 2)
-    )
+                    expected = pytest.approx(first.center_N3[true_i], abs=1e-6)
+                    assert objects.center_N3[i].numpy() == expected
+    enlarged = changes[2][1]
+    ratio = enlarged.episode.bodies[0].scale_3 / scenario.episode.bodies[0].scale_3
+    assert ratio == pytest.approx(1.3) and float(enlarged.poses.scale_N[2]) == pytest.approx(1.3)
+    radii = [x.scene.objects.radial_profile_NRD3[2, 0, :, 0] for x in (enlarged, scenario)]
+    assert (radii[0] / radii[1]).numpy() == pytest.approx(1.3)
+    steps = enlarged.episode.steps[0], scenario.episode.steps[0]
+    bottom, original = (step.center_N3[0, 2] - step.size_N3[0, 2] / 2 for step in steps)
+    assert bottom == pytest.approx(1.3 * original)
     before, after = scenario.episode.actions_T3[0], changes[2][2].episode.actions_T3[0]
     assert np.cross(before, after)[2] / (before @ before) == pytest.approx(np.sin(0.5)), (
         "further to the left"
@@ -203,13 +187,10 @@ def test_true_motions_forecast_every_edit_without_error(world: tuple[Scenario, t
             {"true": true_motions(future.scenario, future.simulated)},
         )
         rows = list(edit_rows(perfect, (1, 3, 5)))
-        assert len(rows) == 3 * len(future.simulated.bodies) and all(
-            row["detected"] for row in rows
-        )
-        assert (
-            max(row["translation_mm"] for row in rows) < 1e-2
-            and max(row["rotation_deg"] for row in rows) < 0.02
-        )
+        assert len(rows) == 3 * len(future.simulated.bodies)
+        assert all(row["detected"] for row in rows)
+        assert max(row["translation_mm"] for row in rows) < 1e-2
+        assert max(row["rotation_deg"] for row in rows) < 0.02
     static = [
         row for future in futures for row in edit_rows(future, (5,)) if row["model"] == STATIC
     ]
@@ -223,15 +204,15 @@ def test_a_scene_without_detections_is_forecast_as_static(world: tuple[Scenario,
         scenario, scene=replace(scenario.scene, objects=objects, truth=[]), poses=initial_poses(0)
     )
     model = make_model("oes", make_objects())
-    found = forecast_motions(empty, {"oes": model})["oes"]
-    assert found.translation_TN3.shape == (5, 0, 3) and found.rotation_TN33.shape == (5, 0, 3, 3)
-    rows = list(edit_rows(Counterfactual(UNEDITED, empty, scenario.episode, {"oes": found}), (5,)))
-    assert [row["detected"] for row in rows] == [0, 0] and max(
-        row["translation_mm"] for row in rows
-    ) > 20
+    motion = forecast_motions(empty, {"oes": model})["oes"]
+    assert motion.translation_TN3.shape == (5, 0, 3)
+    assert motion.rotation_TN33.shape == (5, 0, 3, 3)
+    rows = list(edit_rows(Counterfactual(UNEDITED, empty, scenario.episode, {"oes": motion}), (5,)))
+    assert [row["detected"] for row in rows] == [0, 0]
+    assert max(row["translation_mm"] for row in rows) > 20
     scene, _ = make_boxes()
     torch.testing.assert_close(
-        compose(scene, found.poses(empty.poses, 5)).volume_BCXYZ[0], scene.background_CXYZ
+        compose(scene, motion.poses(empty.poses, 5)).volume_BCXYZ[0], scene.background_CXYZ
     )
 
 
@@ -248,14 +229,14 @@ def test_no_edit_without_free_space_or_a_matched_object(world: tuple[Scenario, t
 class Oracle:
     """A perceiver that detects objects at given positions, view by view."""
 
-    def __init__(self, places: list[np.ndarray]) -> None:
-        self.places = iter(places)
+    def __init__(self, positions: list[np.ndarray]) -> None:
+        self.positions = iter(positions)
 
     def encode(self, frames: Frames, cameras: list) -> None:
         assert len(frames.rgb_VHW3) == len(cameras) == 1
 
     def detect(self, scene: None) -> tuple[torch.Tensor, None, None]:
-        return torch.from_numpy(next(self.places)), None, None
+        return torch.from_numpy(next(self.positions)), None, None
 
 
 def test_detections_are_measured_against_objects_and_each_other(
@@ -263,11 +244,11 @@ def test_detections_are_measured_against_objects_and_each_other(
 ) -> None:
     scenario, _ = world
     true = scenario.episode.steps[0].center_N3
-    aside = np.array([0.01, 0.0, 0.0])
-    places = [true + aside, true - aside, true[:1] + aside]
+    offset = np.array([0.01, 0.0, 0.0])
+    positions = [true + offset, true - offset, true[:1] + offset]
     images = np.zeros((3, 4, 4, 3), np.uint8)
     frames = Frames(images, np.zeros((3, 4, 4), np.float32), images[..., 0])
-    evaluator = FutureEvaluator(Oracle(places), None, scenario, 0, (1, 2, 3))
+    evaluator = FutureEvaluator(Oracle(positions), None, scenario, 0, (1, 2, 3))
     first, second = evaluator._detection_rows(
         1, "oes", frames, scenario.episode.steps[0].cameras[:3], true
     )
@@ -281,14 +262,10 @@ def test_object_psnr_counts_object_pixels_only() -> None:
     true = rng.integers(0, 255, (2, 32, 32, 3)).astype(np.uint8)
     image = true.copy()
     image[:, :4] = 255 - image[:, :4] // 2
-    shown = np.zeros((2, 32, 32), bool)
-    shown[:, 8:] = True
+    is_unchanged = np.zeros((2, 32, 32), bool)
+    is_unchanged[:, 8:] = True
     zeros = np.zeros((2, 32, 32))
-    row = _image_errors(Frames(image, zeros, zeros), Frames(true, zeros, zeros), ~shown)
+    frames = Frames(image, zeros, zeros), Frames(true, zeros, zeros)
+    row = _image_errors(*frames, ~is_unchanged)
     assert row["objects_psnr_db"] < row["psnr_db"] < 30
-    assert (
-        _image_errors(Frames(image, zeros, zeros), Frames(true, zeros, zeros), shown & ~shown)[
-            "objects_psnr_db"
-        ]
-        is None
-    )
+    assert _image_errors(*frames, zeros.astype(bool))["objects_psnr_db"] is None

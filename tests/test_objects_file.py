@@ -1,4 +1,4 @@
-"""The objects file, and the stage's work that fills it."""
+"""The objects file, and the stage that writes it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -65,7 +65,7 @@ def make_perceiver(world: BoxWorld, *, is_train: bool) -> ScenePerceiver:
     )
 
 
-def test_observations_come_back_as_written_even_those_without_objects(tmp_path: Path) -> None:
+def test_observations_are_read_as_written_even_those_without_objects(tmp_path: Path) -> None:
     observations = [
         Observation(4, "b", (7, 3), random_objects(2, 2), np.array([1, -1]), gt_surface(2)),
         Observation(4, "a", (5,), random_objects(0, 1), np.zeros(0, dtype=np.int64), gt_surface(0)),
@@ -84,15 +84,13 @@ def test_observations_come_back_as_written_even_those_without_objects(tmp_path: 
         torch.testing.assert_close(
             objects.image_NV3HW[:, :num_views], observation.objects.image_NV3HW
         )
-        assert (
-            objects.view_NV.sum() == len(observation.gt_N) * num_views
-            and not objects.view_NV[:, num_views:].any()
-        )
+        assert objects.view_NV.sum() == len(observation.gt_N) * num_views
+        assert not objects.view_NV[:, num_views:].any()
     with pytest.raises(ObjectsError, match="there are: a, b"):
         store.observations("c")
 
 
-def test_files_that_are_no_objects_are_refused_by_name(tmp_path: Path) -> None:
+def test_invalid_objects_files_are_rejected_with_their_name(tmp_path: Path) -> None:
     path = tmp_path / "o.safetensors"
     with pytest.raises(ObjectsError, match=r"o.safetensors: not a readable"):
         read_objects(path)
@@ -107,36 +105,28 @@ def test_files_that_are_no_objects_are_refused_by_name(tmp_path: Path) -> None:
         read_objects(path)
 
 
-def test_training_observations_are_jittered_true_boxes_from_views_of_their_own() -> None:
+def test_training_observations_are_jittered_true_boxes_from_different_views() -> None:
     world = BoxWorld(1)
     observations, detections, predictions = make_perceiver(world, is_train=True).perceive(0)
     true = world.episodes[0].steps[0].center_N3
-    assert [observation.setting for observation in observations] == [
-        "train1",
-        "train1",
-        "train2",
-        "fixed",
-    ]
-    assert (
-        observations[3].views == (2,)
-        and observations[0].views != observations[1].views
-        and len(set(observations[2].views)) == 2
-    )
+    settings = [observation.setting for observation in observations]
+    assert settings == ["train1", "train1", "train2", "fixed"]
+    first, second, pair, fixed = (observation.views for observation in observations)
+    assert fixed == (2,) and first != second and len(set(pair)) == 2
     for observation in observations:
         shift = observation.objects.center_N3.numpy() - true
-        assert 0 < np.abs(shift).max() < 0.05 and observation.gt_N.tolist() == list(
-            range(len(true))
-        )
+        assert 0 < np.abs(shift).max() < 0.05
+        assert observation.gt_N.tolist() == list(range(len(true)))
     assert detections == [] and predictions == []
 
 
-def test_a_split_is_perceived_under_its_settings_as_it_is_under_all(tmp_path: Path) -> None:
-    world, every = BoxWorld(1), make_perceiver(BoxWorld(1), is_train=False)
-    few = replace(every, settings=CFG.settings("pushing", "test1"))
+def test_observations_do_not_depend_on_the_other_settings_of_a_split(tmp_path: Path) -> None:
+    world, all_settings = BoxWorld(1), make_perceiver(BoxWorld(1), is_train=False)
+    some_settings = replace(all_settings, settings=CFG.settings("pushing", "test1"))
     assert list(CFG.settings("falling", "test1")) == list(TEST_SETTINGS)
-    observations, detections, _ = few.perceive(0)
+    observations, detections, _ = some_settings.perceive(0)
     assert [observation.setting for observation in observations] == ["1view_gt", "1view_pred"]
-    of_all = {observation.setting: observation for observation in every.perceive(0)[0]}
+    of_all = {observation.setting: observation for observation in all_settings.perceive(0)[0]}
     for observation in observations:
         assert observation.views == of_all[observation.setting].views
         assert torch.equal(
@@ -144,8 +134,8 @@ def test_a_split_is_perceived_under_its_settings_as_it_is_under_all(tmp_path: Pa
             of_all[observation.setting].objects.radial_profile_NRD3,
         )
     assert {row["num_views"] for row in detections} == {1}
-    tensors, _, _ = perceive_split(replace(few, source=world), tmp_path)
-    write_objects(tmp_path / "o.safetensors", tensors, list(few.settings))
+    tensors, _, _ = perceive_split(replace(some_settings, source=world), tmp_path)
+    write_objects(tmp_path / "o.safetensors", tensors, list(some_settings.settings))
     with pytest.raises(ObjectsError, match="there are: 1view_gt, 1view_pred"):
         read_objects(tmp_path / "o.safetensors").observations("3views_gt")
     with pytest.raises(
@@ -154,16 +144,14 @@ def test_a_split_is_perceived_under_its_settings_as_it_is_under_all(tmp_path: Pa
         replace(CFG, test_settings={"pushing": {"test1": ("9views",)}})
 
 
-def test_at_test_views_are_nested_and_every_object_is_accounted_for() -> None:
+def test_test_views_are_nested_and_every_object_has_a_row() -> None:
     world = BoxWorld(1)
     observations, detections, predictions = make_perceiver(world, is_train=False).perceive(0)
     views = {observation.setting: observation.views for observation in observations}
     assert set(views) == set(TEST_SETTINGS)
     assert views["1view_gt"] == views["1view_pred"] == views["5views_pred"][:1]
     assert views["3views_gt"] == views["5views_pred"][:3]
-    exact = next(
-        observation for observation in observations if observation.setting == "3views_gt"
-    ).objects.center_N3
+    exact = next(x for x in observations if x.setting == "3views_gt").objects.center_N3
     np.testing.assert_allclose(exact, world.episodes[0].steps[0].center_N3, atol=1e-6)
     for num_views in (1, 3):
         rows = [row for row in detections if row["num_views"] == num_views]

@@ -101,30 +101,30 @@ def world(catalogue: Catalogue, sim: SimConfig) -> Iterator[PushWorld]:
 
 
 class Oracle:
-    """Sensor and perception that report true boxes, except those of ``blind`` objects."""
+    """Sensor and perception that report true boxes, except those of ``undetected`` objects."""
 
-    def __init__(self, blind: set[int] = frozenset()) -> None:  # type: ignore[assignment]
-        self.blind, self.cameras = blind, list[str]()
+    def __init__(self, undetected: set[int] = frozenset()) -> None:  # type: ignore[assignment]
+        self.undetected, self.cameras = undetected, list[str]()
 
     def render(self, step: Step, camera: Camera) -> CameraObservation:
         self.step = step
         self.cameras.append(camera.name)
         shape = (1, camera.height_px, camera.width_px)
-        nothing = Frames(
+        frames = Frames(
             np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
         )
-        return CameraObservation(nothing, camera)
+        return CameraObservation(frames, camera)
 
     def encode(self, frames: Frames, cameras: Sequence[Camera]) -> Step:
         assert len(cameras) == 1 == len(frames.rgb_VHW3)
         return self.step
 
     def detect(self, scene: Step) -> tuple[Tensor, Tensor, Tensor]:
-        seen = [i for i in range(len(scene.center_N3)) if i not in self.blind][::-1]
+        detected = [i for i in range(len(scene.center_N3)) if i not in self.undetected][::-1]
         centers, sizes = (
-            torch.from_numpy(values[seen]) for values in (scene.center_N3, scene.size_N3)
+            torch.from_numpy(values[detected]) for values in (scene.center_N3, scene.size_N3)
         )
-        return centers, sizes, torch.ones(len(seen))
+        return centers, sizes, torch.ones(len(detected))
 
     def objects(
         self, scene: Step | None, boxes: tuple[Tensor, Tensor, Tensor], *_: object
@@ -144,8 +144,8 @@ class Oracle:
         )
 
 
-class Shove(DynamicsModel):
-    """Objects in the rod's path move with it from the first contact on."""
+class RodMotion(DynamicsModel):
+    """Objects in the path of the rod move with it from the first contact."""
 
     def appearance(self, objects: Objects) -> Tensor:
         return objects.center_N3[..., :0]
@@ -156,16 +156,16 @@ class Shove(DynamicsModel):
         offset_BN3 = (state.center_BN3 - tip.start_B3[:, None]) * torch.tensor([1.0, 1, 0])
         along_BN = (offset_BN3 * forward_B3[:, None]).sum(-1)
         across_BN = (offset_BN3 - along_BN[..., None] * forward_B3[:, None]).norm(dim=-1)
-        carried_BN = (
+        pushed_BN = (
             (length_B1 - (along_BN - 0.043)).clamp(min=0) * (across_BN < 0.035) * (along_BN > 0)
         )
-        dp_BN3 = carried_BN[..., None] * forward_B3[:, None]
+        dp_BN3 = pushed_BN[..., None] * forward_B3[:, None]
         return StepMotion(dp_BN3, torch.zeros_like(dp_BN3))
 
 
 def _planner(sim: SimConfig, perception: Oracle) -> Planner:
     rod = Rod(sim.robot.rod_radius_m, sim.robot.tip_height_m, sim.robot.workspace_m)
-    return Planner(perception, 0.01, GraphWorldModel(Shove()), rod, 0.3, PLANNING)
+    return Planner(perception, 0.01, GraphWorldModel(RodMotion()), rod, 0.3, PLANNING)
 
 
 def _run(
@@ -231,7 +231,7 @@ def test_an_undetected_object_keeps_its_initial_position(
     catalogue: Catalogue, sim: SimConfig, world: PushWorld
 ) -> None:
     task = _task(catalogue, sim, 3, 2)
-    result = _run(world, sim, Oracle(blind={1}), task, 3, replace(TARGETS, max_steps=1))
+    result = _run(world, sim, Oracle(undetected={1}), task, 3, replace(TARGETS, max_steps=1))
     first = result.steps[0].estimate
     assert first.is_detected_N.tolist() == [True, False]
     assert first.center_N3[1] == pytest.approx(task.center_N3[1])
@@ -243,9 +243,9 @@ def test_an_object_off_the_table_ends_the_trial(
     catalogue: Catalogue, sim: SimConfig, world: PushWorld
 ) -> None:
     task = _task(catalogue, sim, 0, 1)
-    over_the_rim = task.world_T_obj_N44.copy()
-    over_the_rim[0, :2, 3] = [0.32, 0.0]
-    result = _run(world, sim, Oracle(), replace(task, world_T_obj_N44=over_the_rim), 0)
+    poses_N44 = task.world_T_obj_N44.copy()
+    poses_N44[0, :2, 3] = [0.32, 0.0]
+    result = _run(world, sim, Oracle(), replace(task, world_T_obj_N44=poses_N44), 0)
     assert result.failure == "an object fell off the table"
     assert result.steps_used == 0 and [record.plan for record in result.steps] == [None]
 
@@ -270,13 +270,13 @@ def test_an_oracle_pushes_around_an_obstacle(
         _run(world, sim, Oracle(), _task(catalogue, sim, i, 1, AROUND), i, AROUND, CEM)
         for i in range(2)
     ]
-    arrived = [o for o in results if not o.failure and o.final_G.mean() < AROUND.success_m]
-    assert arrived
+    successes = [r for r in results if not r.failure and r.final_G.mean() < AROUND.success_m]
+    assert successes
     assert all(
         len(result.final_G) == 1 and len(result.steps[0].estimate.center_N3) == 2
         for result in results
     )
-    path = np.array([record.estimate.center_N3 for record in arrived[0].steps])
+    path = np.array([record.estimate.center_N3 for record in successes[0].steps])
     assert np.ptp(path[:, 1], axis=0) == pytest.approx(0, abs=1e-3), "the obstacle did not move"
 
 
@@ -301,11 +301,7 @@ def test_obstacles_block_the_straight_path_and_leave_another(
         for trial_i in range(6):
             task = _task(catalogue, sim, trial_i, 1, cfg)
             assert len(task.bodies) == 1 + count and task.goal_G3.shape == (1, 3)
-            start, goal, obstacle = (
-                task.center_N3[0, :2],
-                task.goal_G3[0, :2],
-                task.center_N3[1, :2],
-            )
+            (start, obstacle), goal = task.center_N3[:2, :2], task.goal_G3[0, :2]
             along = (goal - start) / np.linalg.norm(goal - start)
             offset = obstacle - start
             assert abs(offset[0] * along[1] - offset[1] * along[0]) < 0.06
@@ -337,7 +333,7 @@ def test_tasks_satisfy_their_scenario(catalogue: Catalogue, sim: SimConfig) -> N
     assert np.array_equal(task.goal_G3, same) and not np.array_equal(same, other)
 
 
-def test_graph_world_model_moves_the_objects_in_the_way() -> None:
+def test_graph_world_model_predicts_the_motion_of_pushed_objects() -> None:
     centers = torch.tensor([[0.1, 0.0, 0.02], [0.0, 0.2, 0.02]])
     objects = Oracle().objects(None, (centers, torch.full((2, 3), 0.07), torch.ones(2)))
     tips: Floats = np.array([[0.04, 0.0, 0.02], [0.0, 0.1, 0.02]])
@@ -349,7 +345,7 @@ def test_graph_world_model_moves_the_objects_in_the_way() -> None:
     estimate = StateEstimate(
         objects, objects.center_N3.numpy(), objects.size_N3.numpy(), np.ones(2, dtype=bool), None
     )
-    rollouts = GraphWorldModel(Shove()).predict(estimate, np.zeros((2, 3)), candidates)
+    rollouts = GraphWorldModel(RodMotion()).predict(estimate, np.zeros((2, 3)), candidates)
     positions = rollouts.position_STN3
     assert rollouts.tip_SI3[:, 1].tolist() == [
         pytest.approx([0.09, 0, 0.02]),

@@ -40,21 +40,21 @@ def progress(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(cfg: TrialsConfig, inputs: TrialInputs, progress: Path) -> list[Trial]:
+def finished(cfg: TrialsConfig, inputs: TrialInputs, progress: Path) -> list[Trial]:
     return run_trials(cfg, "targets", inputs, progress)
 
 
-def test_rows_and_videos_of_a_run(cfg: TrialsConfig, found: list[Trial], tmp_path: Path) -> None:
+def test_rows_and_videos_of_a_run(cfg: TrialsConfig, finished: list[Trial], tmp_path: Path) -> None:
     targets = cfg.scenarios["targets"]
-    videos = write_videos(found, targets, cfg.video, cfg.num_videos, tmp_path)
+    videos = write_videos(finished, targets, cfg.video, cfg.num_videos, tmp_path)
     write_csv(
-        tmp_path / "trials.csv", trial_rows(found, "targets", "graph_xyz", targets, videos), TRIALS
+        tmp_path / "trials.csv",
+        trial_rows(finished, "targets", "graph_xyz", targets, videos),
+        TRIALS,
     )
     rows = read_rows([tmp_path / "trials.csv"], TRIALS)
-    assert (
-        rows["trial_i"].tolist() == [0, 1] * 2
-        and rows["planner"].tolist() == ["shooting"] * 2 + ["cem"] * 2
-    )
+    assert rows["trial_i"].tolist() == [0, 1] * 2
+    assert rows["planner"].tolist() == ["shooting"] * 2 + ["cem"] * 2
     assert set(rows["scenario"]) == {"targets"}
     assert (rows["initial_mm"] > 40).all() and np.isfinite(rows["mean_final_mm"]).all()
     assert (rows["failure"] == "").all() and (rows["steps_used"] <= 2).all()
@@ -69,23 +69,21 @@ def test_finished_trials_are_not_run_again(
     cfg: TrialsConfig,
     inputs: TrialInputs,
     progress: Path,
-    found: list[Trial],
+    finished: list[Trial],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(PushWorld, "push", lambda *_: pytest.fail("a finished trial runs again"))
     again = run_trials(cfg, "targets", inputs, progress)
-    for old, new in zip(found, again, strict=True):
+    for old, new in zip(finished, again, strict=True):
         assert (old.planner, old.trial_i, old.failure) == (new.planner, new.trial_i, new.failure)
         assert old.result and new.result and np.array_equal(old.result.final_G, new.result.final_G)
 
 
 def test_a_second_run_gives_the_same_trials(
-    cfg: TrialsConfig, inputs: TrialInputs, found: list[Trial], tmp_path: Path
+    cfg: TrialsConfig, inputs: TrialInputs, finished: list[Trial], tmp_path: Path
 ) -> None:
-    (first, *_), (again, *_) = (
-        found,
-        run_trials(replace(cfg, num_trials=1), "targets", inputs, tmp_path),
-    )
+    repeated = run_trials(replace(cfg, num_trials=1), "targets", inputs, tmp_path)
+    first, again = finished[0], repeated[0]
     assert first.task and again.task and first.result and again.result
     assert np.array_equal(first.task.goal_G3, again.task.goal_G3)
     assert np.array_equal(first.result.final_G, again.result.final_G)
@@ -93,20 +91,20 @@ def test_a_second_run_gives_the_same_trials(
 
 
 @pytest.mark.parametrize("model", ["visual_foresight", "planet"])
-def test_image_based_models_plan_too(
-    cfg: TrialsConfig, inputs: TrialInputs, found: list[Trial], model: str, tmp_path: Path
+def test_image_based_models_plan(
+    cfg: TrialsConfig, inputs: TrialInputs, finished: list[Trial], model: str, tmp_path: Path
 ) -> None:
-    theirs = replace(inputs, dynamics=inputs.dynamics.with_name(f"pushing-{model}"))
-    trials = run_trials(replace(cfg, num_trials=1), "targets", theirs, tmp_path)
+    model_inputs = replace(inputs, dynamics=inputs.dynamics.with_name(f"pushing-{model}"))
+    trials = run_trials(replace(cfg, num_trials=1), "targets", model_inputs, tmp_path)
     assert [trial.planner for trial in trials] == ["shooting", "cem"]
     for trial in trials:
-        assert trial.result and trial.failure == "" and found[0].task and trial.task
-        assert np.array_equal(trial.task.goal_G3, found[0].task.goal_G3)
+        assert trial.result and trial.failure == "" and finished[0].task and trial.task
+        assert np.array_equal(trial.task.goal_G3, finished[0].task.goal_G3)
         assert sum(record.plan is not None for record in trial.result.steps) == 2
         assert trial.result.steps[0].estimate.overhead_HW3 is not None
 
 
-def test_a_trial_without_a_task_is_a_row_with_its_reason(
+def test_a_trial_without_a_task_has_a_row_with_the_reason(
     cfg: TrialsConfig, inputs: TrialInputs, tmp_path: Path
 ) -> None:
     targets = replace(cfg.scenarios["targets"], goal_distance_m=(5.0, 6.0), max_attempts=3)
@@ -116,14 +114,11 @@ def test_a_trial_without_a_task_is_a_row_with_its_reason(
     write_csv(tmp_path / "trials.csv", trial_rows(trials, "targets", "oes", targets, {}), TRIALS)
     with (tmp_path / "trials.csv").open() as file:
         (row, _) = csv.DictReader(file)
-    assert (
-        row["success"] == "False"
-        and row["mean_final_mm"] == "nan"
-        and "no task in 3 attempts" in row["failure"]
-    )
+    assert row["success"] == "False" and row["mean_final_mm"] == "nan"
+    assert "no task in 3 attempts" in row["failure"]
 
 
-def test_an_unknown_scenario_is_refused_with_the_valid_ones(
+def test_an_unknown_scenario_is_rejected_with_the_valid_names(
     cfg: TrialsConfig, inputs: TrialInputs, tmp_path: Path
 ) -> None:
     with pytest.raises(ScenarioError, match=r"unknown scenario 'fly'.*targets"):

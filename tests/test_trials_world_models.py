@@ -1,5 +1,7 @@
 """Image-based world models, on networks with known outputs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -14,6 +16,9 @@ from oes.trials.world_models import ForesightWorldModel, PlanetWorldModel, State
 VIEW = OverheadView(side_px=64, height_m=1.5, half_m=0.32)
 CENTERS = np.array([[0.1, 0.05, 0.03], [-0.12, 0.0, 0.02]])
 GOALS = CENTERS + np.array([[0.1, 0.0, 0.0], [0.0, -0.05, 0.0]])
+PLANET = PlanetConfig(
+    base_channels=4, recurrent_dim=16, stochastic_dim=4, hidden_dim=16, max_goals=2
+)
 TIPS = torch.tensor([[0.0, 0.05, 0.02], [0.0, 0.0, 0.02], [0.2, 0.2, 0.02]])
 CANDIDATES = Candidates(
     TIPS, torch.full((3, 4, 3), 0.03) * torch.tensor([1.0, 1, 0]), torch.zeros(3, 0)
@@ -35,8 +40,8 @@ def _estimate() -> StateEstimate:
         radial_profile_NRD3=torch.zeros(count, 6, 32, 3),
         com_offset_N3=torch.zeros(count, 3),
     )
-    picture = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
-    return StateEstimate(objects, CENTERS, size.numpy(), np.ones(count, dtype=bool), picture)
+    image = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
+    return StateEstimate(objects, CENTERS, size.numpy(), np.ones(count, dtype=bool), image)
 
 
 def test_visual_foresight_without_flow_predicts_static_objects() -> None:
@@ -65,18 +70,11 @@ def test_visual_foresight_moves_objects_with_their_pixels() -> None:
 
 def test_planet_cost_is_minus_reward_and_objects_are_static() -> None:
     torch.manual_seed(0)
-    net = PlaNet(
-        PlanetConfig(
-            base_channels=4, recurrent_dim=16, stochastic_dim=4, hidden_dim=16, max_goals=2
-        )
-    ).eval()
+    net = PlaNet(PLANET).eval()
     model = PlanetWorldModel(net, VIEW)
     rollouts = model.predict(_estimate(), GOALS, CANDIDATES)
-    assert (
-        rollouts.cost_ST is not None
-        and rollouts.cost_ST.shape == (3, 4)
-        and torch.isfinite(rollouts.cost_ST).all()
-    )
+    assert rollouts.cost_ST is not None and rollouts.cost_ST.shape == (3, 4)
+    assert torch.isfinite(rollouts.cost_ST).all()
     assert torch.equal(rollouts.position_STN3[1, 2], torch.from_numpy(CENTERS).float())
     torch.nn.init.zeros_(net.reward_head[-1].weight)
     net.reward_head[-1].bias.data[:] = -0.5
@@ -86,19 +84,9 @@ def test_planet_cost_is_minus_reward_and_objects_are_static() -> None:
 def test_planet_orders_goals_from_left_to_right() -> None:
     """Swapping both the objects and their goals changes nothing."""
     torch.manual_seed(0)
-    net = PlaNet(
-        PlanetConfig(
-            base_channels=4, recurrent_dim=16, stochastic_dim=4, hidden_dim=16, max_goals=2
-        )
-    ).eval()
+    net = PlaNet(PLANET).eval()
     model, estimate = PlanetWorldModel(net, VIEW), _estimate()
-    swapped = StateEstimate(
-        estimate.objects,
-        CENTERS[::-1].copy(),
-        estimate.size_N3,
-        estimate.is_detected_N,
-        estimate.overhead_HW3,
-    )
+    swapped = replace(estimate, center_N3=CENTERS[::-1].copy())
     first, again = (
         model.predict(b, g, CANDIDATES).cost_ST
         for b, g in ((estimate, GOALS), (swapped, GOALS[::-1].copy()))
