@@ -71,5 +71,5 @@ def write_clips(clips: Clips, view: OverheadView, folder: Path) -> None:
 def read_clips(folder: Path) -> tuple[Clips, OverheadView]:
     """Inverse of ``write_clips``. Raises ClipsError."""
     path = folder / CLIPS_FILE
-    tensors, about = read_tensors(path, CLIPS_FORMAT, ClipsError)
-    return Clips(**tensors), from_json(about["view"], OverheadView, f"{path}: view")
+    tensors, metadata = read_tensors(path, CLIPS_FORMAT, ClipsError)
+    return Clips(**tensors), from_json(metadata["view"], OverheadView, f"{path}: view")

@@ -62,22 +62,24 @@ def train_baseline(
     Raises BaselineError for an unknown name.
     """
     _check_name(name)
-    own = cfg.visual_foresight if name == "visual_foresight" else cfg.planet
-    torch.manual_seed(own.fit.seed)
-    if isinstance(own, ForesightTraining):
-        model: BaselineModel = VisualForesight(own.net)
-        loss, weights = foresight_loss(own.changed_pixel_weight), {"image": 1.0}
+    model_cfg = cfg.visual_foresight if name == "visual_foresight" else cfg.planet
+    torch.manual_seed(model_cfg.fit.seed)
+    if isinstance(model_cfg, ForesightTraining):
+        model: BaselineModel = VisualForesight(model_cfg.net)
+        loss, weights = foresight_loss(model_cfg.changed_pixel_weight), {"image": 1.0}
     else:
-        model = PlaNet(own.net)
-        loss, weights = planet_loss(own.loss, background(clips).to(device)), own.weights
+        model = PlaNet(model_cfg.net)
+        loss, weights = planet_loss(model_cfg.loss, background(clips).to(device)), model_cfg.weights
 
     def batch_at(step: int) -> Clips:
-        return sample_clips(clips, own.fit.batch, np.random.default_rng([own.fit.seed, step]))
+        return sample_clips(
+            clips, model_cfg.fit.batch, np.random.default_rng([model_cfg.fit.seed, step])
+        )
 
     def device_loss(net: torch.nn.Module, batch: Clips) -> dict[str, Tensor]:
         return loss(net, batch.to(device))
 
-    return model, fit(model, batch_at, device_loss, weights, own.fit, work, device)
+    return model, fit(model, batch_at, device_loss, weights, model_cfg.fit, work, device)
 
 
 def background(clips: Clips) -> Tensor:
@@ -87,13 +89,13 @@ def background(clips: Clips) -> Tensor:
 
 def save_baseline(folder: Path, model: BaselineModel, view: OverheadView) -> None:
     """Write weights, configuration and camera of a model; the file appears whole."""
-    about = {
+    metadata = {
         "format": BASELINE_FORMAT,
         "model": next(name for name, kind in BASELINES.items() if type(model) is kind),
         "net": to_json(model.cfg),
         "view": to_json(view),
     }
-    write_tensors(model.state_dict(), folder / BASELINE_FILE, about)
+    write_tensors(model.state_dict(), folder / BASELINE_FILE, metadata)
 
 
 def is_baseline(folder: Path) -> bool:
@@ -108,18 +110,18 @@ def is_baseline(folder: Path) -> bool:
 def load_baseline(folder: Path) -> tuple[BaselineModel, OverheadView]:
     """The model in ``folder`` (eval mode) and its camera. Raises BaselineError naming the file."""
     path = folder / BASELINE_FILE
-    tensors, about = read_tensors(path, BASELINE_FORMAT, BaselineError)
-    _check_name(about.get("model", ""), f"{path}: ")
+    tensors, metadata = read_tensors(path, BASELINE_FORMAT, BaselineError)
+    _check_name(metadata.get("model", ""), f"{path}: ")
     model: BaselineModel
-    if about["model"] == "planet":
-        model = PlaNet(from_json(about["net"], PlanetConfig, f"{path}: net"))
+    if metadata["model"] == "planet":
+        model = PlaNet(from_json(metadata["net"], PlanetConfig, f"{path}: net"))
     else:
-        model = VisualForesight(from_json(about["net"], ForesightConfig, f"{path}: net"))
+        model = VisualForesight(from_json(metadata["net"], ForesightConfig, f"{path}: net"))
     try:
         model.load_state_dict(tensors)
     except RuntimeError as error:
         raise BaselineError(f"{path}: its weights do not fit its config: {error}") from error
-    view = from_json(about["view"], OverheadView, f"{path}: view")
+    view = from_json(metadata["view"], OverheadView, f"{path}: view")
     return model.eval().requires_grad_(False), view
 
 

@@ -47,19 +47,19 @@ class DecoderConfig:
 
 
 class FieldHead(nn.Module):
-    """Coarse features and lifted views to a field of twice the resolution per axis.
+    """Maps coarse features and lifted views to a field of twice the resolution per axis.
 
     The initial weights reproduce the views: channel 0 is dense on and behind observed surfaces, the
-    next 3 have their colours. ``static_prior`` learns the content of every scene (table, pedestal),
-    observed or not.
+    next 3 have their colours. ``static_prior`` learns what is common to all scenes (table, robot's
+    base). ``inputs``, ``lifted`` (per voxel) and ``extra``: numbers of input channels.
     """
 
     def __init__(
-        self, inputs: int, lifted: int, rest: int, channels: int, coarse: tuple[int, int, int]
+        self, inputs: int, lifted: int, extra: int, channels: int, coarse: tuple[int, int, int]
     ) -> None:
         super().__init__()
         self.static_prior = nn.Parameter(torch.zeros(8 * channels, *coarse))
-        self.layer = nn.Conv3d(inputs + 8 * lifted + rest, 8 * channels, 1)
+        self.layer = nn.Conv3d(inputs + 8 * lifted + extra, 8 * channels, 1)
         weight, bias = torch.zeros(8, channels, self.layer.in_channels), torch.zeros(8, channels)
         bias[:, 0] = rays.DENSITY_SHIFT - DENSE_LOGIT / 2
         for sub_i in range(8):
@@ -73,13 +73,13 @@ class FieldHead(nn.Module):
 
     def forward(self, coarse_BCXYZ: Tensor, lifted_BCXYZ: Tensor) -> Tensor:
         """The field BCXYZ in float32."""
-        # Backpropagation through the lift of all voxels costs more than it improves the image net.
+        # Gradients through the lift of all voxels are slow and improve the encoder little.
         inputs = torch.cat([coarse_BCXYZ, lifted_BCXYZ.detach()], dim=1)
         return unfold(self.layer(inputs).float() + PRIOR_GAIN * self.static_prior)
 
 
 class BackgroundField(nn.Module):
-    """Views and their features to the background field."""
+    """Maps views and their features to the background field."""
 
     points: Tensor
 
@@ -144,12 +144,11 @@ class ViewDecoder(nn.Module):
 
     def _trace(self, near: Field, far: Field, pixels: Rays) -> Tensor:
         """BPC of each ray: composited features, opacity, expected distance, origin, direction."""
-        enter, leave = rays.ray_box_intersection(pixels, near.grid)
+        box = rays.ray_box_intersection(pixels, near.grid)
         first, last = rays.ray_box_intersection(pixels, far.grid)
-        is_missed = leave <= enter
         # A ray that misses the scene map is split in its middle, so all rays have equal samples.
-        middle = (first + last) / 2
-        enter, leave = torch.where(is_missed, middle, enter), torch.where(is_missed, middle, leave)
+        is_missed, middle = box[1] <= box[0], (first + last) / 2
+        enter, leave = (torch.where(is_missed, middle, distance) for distance in box)
         num_samples, num_far = self.cfg.num_samples, self.cfg.background.num_samples
         before, after = (first, torch.maximum(first, enter)), (leave, torch.maximum(leave, last))
         parts = (

@@ -30,7 +30,7 @@ class DetectorConfig:
 
 
 class DetectorHead(nn.Module):
-    """Coarse features BCXYZ to objectness logits BXYZ and box deltas B6XYZ."""
+    """Maps coarse features BCXYZ to objectness logits BXYZ and box deltas B6XYZ."""
 
     def __init__(self, inputs: int, cfg: DetectorConfig) -> None:
         super().__init__()
@@ -60,16 +60,6 @@ def box_deltas(
     return torch.cat([(to_centers - centers) / unit_m, log_scale], dim=-1)
 
 
-def gaussian_heatmap(
-    voxels_XYZ3: Tensor, centers_BN3: Tensor, valid_BN: Tensor, sigma_m: float
-) -> tuple[Tensor, Tensor]:
-    """Gaussian BXYZ around the nearest object's centre (0 without objects), and its index BXYZ."""
-    offsets = voxels_XYZ3[None, None] - centers_BN3[:, :, None, None, None]
-    gaussians = (-offsets.square().sum(-1) / (2 * sigma_m**2)).exp()
-    nearest = (gaussians * valid_BN[..., None, None, None]).max(dim=1)
-    return nearest.values, nearest.indices
-
-
 def detection_losses(
     cfg: DetectorConfig,
     logits_BXYZ: Tensor,
@@ -77,17 +67,20 @@ def detection_losses(
     voxels_XYZ3: Tensor,
     boxes: tuple[Tensor, Tensor, Tensor],
 ) -> dict[str, Tensor]:
-    """``objectness`` (focal, Gaussian targets) per object, and ``box`` (smooth L1 near centres).
+    """``objectness``: focal loss per object; ``box``: smooth L1 loss of voxels near centres.
 
-    ``boxes``: ground-truth centres BN3, sizes BN3 and ``valid_BN``.
+    The target of the objectness is a Gaussian around the nearest centre. ``boxes``: ground-truth
+    centres BN3, sizes BN3 and ``valid_BN``.
     """
     centers_BN3, sizes_BN3, valid_BN = boxes
-    target, owner = gaussian_heatmap(voxels_XYZ3, centers_BN3, valid_BN, cfg.sigma_m)
+    offsets = voxels_XYZ3[None, None] - centers_BN3[:, :, None, None, None]
+    heatmap_BNXYZ = (-offsets.square().sum(-1) / (2 * cfg.sigma_m**2)).exp()
+    target, nearest = (heatmap_BNXYZ * valid_BN[..., None, None, None]).max(dim=1)
     # Quality focal loss (Li et al. 2020): nearly all voxels are easy negatives.
     focal = (target - logits_BXYZ.sigmoid()).square().detach()
     bce = F.binary_cross_entropy_with_logits(logits_BXYZ, target, reduction="none")
     batch_i, x, y, z = (target > MIN_TARGET).nonzero(as_tuple=True)
-    i = batch_i, owner[batch_i, x, y, z]
+    i = batch_i, nearest[batch_i, x, y, z]
     voxels = voxels_XYZ3[x, y, z]
     target_deltas = box_deltas(voxels, cfg.anchor_m, centers_BN3[i], sizes_BN3[i], cfg.anchor_m)
     deltas = deltas_B6XYZ[batch_i, :, x, y, z]
@@ -118,7 +111,7 @@ def nms_3d(centers_N3: Tensor, sizes_N3: Tensor, scores_N: Tensor, max_iou: floa
     overlap = iou(centers_N3[:, None], sizes_N3[:, None], centers_N3[None], sizes_N3[None])
     kept: list[int] = []
     # A stable order makes ties independent of the device.
-    for candidate in scores_N.argsort(descending=True, stable=True).tolist():
-        if all(overlap[candidate, better] <= max_iou for better in kept):
-            kept.append(candidate)
+    for i in scores_N.argsort(descending=True, stable=True).tolist():
+        if all(overlap[i, k] <= max_iou for k in kept):
+            kept.append(i)
     return torch.tensor(kept, dtype=torch.long, device=scores_N.device)

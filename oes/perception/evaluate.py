@@ -73,14 +73,14 @@ def detection_rows(
     """One row for every detection (matched or false) and for every missed object of one scene."""
     centers, sizes, scores = (value.float().cpu() for value in perceiver.detect(scene))
     gt_N = match_detections(centers.double().numpy(), truth.center_N3)
-    hits = np.flatnonzero(gt_N >= 0).tolist()
-    boxes = centers[hits], sizes[hits]
+    matched = np.flatnonzero(gt_N >= 0).tolist()
+    boxes = centers[matched], sizes[matched]
     mask_NXYZ = perceiver.crops(scene, boxes)[:, 0].float().cpu()
-    solids = [truth.solids[i] for i in gt_N[hits]]
-    masks = mask_ious(mask_NXYZ, boxes[0], perceiver.net.roi.window, solids)
-    surfaces = [truth.surfaces[i] for i in gt_N[hits]]
-    shapes = _surface_errors(perceiver, scene, boxes, mask_NXYZ, surfaces)
-    quality = {i: (masks[k], *shapes[k]) for k, i in enumerate(hits)}
+    solids = [truth.solids[i] for i in gt_N[matched]]
+    surfaces = [truth.surfaces[i] for i in gt_N[matched]]
+    ious = mask_ious(mask_NXYZ, boxes[0], perceiver.net.roi.window, solids)
+    errors = _surface_errors(perceiver, scene, boxes, mask_NXYZ, surfaces)
+    quality = {i: (ious[k], *errors[k]) for k, i in enumerate(matched)}
     box_N6 = torch.cat([centers, sizes], dim=1).double().numpy()
     true_N6 = np.concatenate([truth.center_N3, truth.size_N3], axis=1)
     rows = []
@@ -109,21 +109,18 @@ def _surface_errors(
     support_N3 = support_points(*boxes)
     top_N = boxes[0][:, 2] + boxes[1][:, 2] / 2 - support_N3[:, 2]
     cylinder, errors = perceiver.net.cfg.surface.cylinder, []
-    for profile_RD3, support_3, top, true in zip(
-        profile_NRD3, support_N3, top_N, surfaces, strict=True
-    ):
-        points_P3, normal_P3 = profile_to_point_cloud(profile_RD3, cylinder, float(top))
-        points = (points_P3 + support_3).double().numpy()
-        angle_deg = normal_deg(points, normal_P3.double().numpy(), *true)
-        errors.append((chamfer_mm(points, true[0]), angle_deg))
+    for i, true in enumerate(surfaces):
+        cloud = profile_to_point_cloud(profile_NRD3[i], cylinder, float(top_N[i]))
+        points, normals = (cloud[0] + support_N3[i]).double().numpy(), cloud[1].double().numpy()
+        errors.append((chamfer_mm(points, true[0]), normal_deg(points, normals, *true)))
     return errors
 
 
 def detection_summary(rows: Sequence[PerceptionRow]) -> dict[str, float]:
-    """``ap_25``, ``ap_50``; means over matched detections of ``mask_iou``, ``centre_mm``,
-    ``chamfer_mm`` and ``normal_deg`` (without any: 0, and NaN).
+    """Average precision (``ap_25``, ``ap_50``) and mean errors of matched detections.
 
-    ``rows``: those of ``detection_rows``, with a column ``episode`` that tells scenes apart.
+    Without a match ``mask_iou`` is 0; ``centre_mm``, ``chamfer_mm`` and ``normal_deg`` are NaN.
+    ``rows``: those of ``detection_rows`` with the column ``episode``.
     """
     detected = [row for row in rows if row["x_m"] is not None]
     true = [row for row in rows if row["true_x_m"] is not None]

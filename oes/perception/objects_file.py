@@ -159,7 +159,7 @@ def write_objects(path: Path, tensors: dict[str, Tensor], settings: Sequence[str
 
 def read_objects(path: Path) -> ObjectStore:
     """Read a whole file. Raises ObjectsError: missing, unreadable, or inconsistent."""
-    tensors, about = read_tensors(path, OBJECTS_FORMAT, ObjectsError)
+    tensors, metadata = read_tensors(path, OBJECTS_FORMAT, ObjectsError)
     if {name: value.dtype for name, value in tensors.items()} != DTYPES:
         raise ObjectsError(f"{path}: not an objects file of this version ({OBJECTS_FORMAT})")
     observation_O, num_observations = tensors["observation_O"], len(tensors["episode_U"])
@@ -171,4 +171,4 @@ def read_objects(path: Path) -> ObjectStore:
     )
     if not is_consistent:
         raise ObjectsError(f"{path}: objects and observations do not belong together")
-    return ObjectStore(tuple(json.loads(about["settings"])), tensors)
+    return ObjectStore(tuple(json.loads(metadata["settings"])), tensors)

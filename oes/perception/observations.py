@@ -210,7 +210,7 @@ def perceive_split(
     write = partial(_write_shard, scenes)
     resumable_map(write, shards, num_workers=num_workers, desc="perceiving", unit="shard")
     files = [read_tensors(path, OBJECTS_FORMAT, ObjectsError) for path in shards]
-    tables = [json.loads(about["rows"]) for _, about in files]
+    tables = [json.loads(metadata["rows"]) for _, metadata in files]
     detections, views = ([row for pair in tables for row in pair[i]] for i in (0, 1))
     return concat([tensors for tensors, _ in files]), detections, views
 

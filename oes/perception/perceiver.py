@@ -39,9 +39,11 @@ class Perceiver:
     @classmethod
     def load(cls, path: Path, device: torch.device | None = None) -> "Perceiver":
         """Read a file of ``save``. Raises PerceptionFileError."""
-        tensors, about = read_tensors(path, PERCEPTION_FORMAT, PerceptionFileError)
+        tensors, metadata = read_tensors(path, PERCEPTION_FORMAT, PerceptionFileError)
         try:
-            net = PerceptionNet(from_json(about.get("config", ""), PerceptionNetConfig, str(path)))
+            net = PerceptionNet(
+                from_json(metadata.get("config", ""), PerceptionNetConfig, str(path))
+            )
             net.load_state_dict(tensors)
         except ParamsError as error:
             reason = f"stored config is not of this version: {error}"
@@ -201,23 +203,21 @@ def image_crops(boxes: tuple[Tensor, Tensor], frames: Frames, cameras: Sequence[
     """uint8 NV3HW: square around each projected box in every view; black outside the image."""
     signs = torch.cartesian_prod(*[torch.tensor([-0.5, 0.5])] * 3)
     corners_N83 = boxes[0][:, None] + boxes[1][:, None] * signs
-    views = zip(frames.rgb_VHW3, cameras, strict=True)
-    return torch.stack([_image_crop(corners_N83, rgb, camera) for rgb, camera in views], dim=1)
-
-
-def _image_crop(corners_N83: Tensor, rgb_HW3: NDArray[np.uint8], camera: Camera) -> Tensor:
     points_Q3 = corners_N83.reshape(-1, 3).double().numpy()
-    pix_Q2 = torch.from_numpy(project(camera.K_33, camera.world_T_cam_44, points_Q3)[0]).float()
-    pix_N82 = pix_Q2.reshape(-1, 8, 2)
-    low_N2, high_N2 = pix_N82.amin(1), pix_N82.amax(1)
-    middle_N2, half_N = (low_N2 + high_N2) / 2, (high_N2 - low_N2).amax(-1) / 2 * IMAGE_MARGIN
     steps = (torch.arange(IMAGE_PX) + 0.5) / IMAGE_PX * 2 - 1
     v, u = torch.meshgrid(steps, steps, indexing="ij")
-    offset_NHW2 = half_N[:, None, None, None] * torch.stack([u, v], dim=-1)
-    pix_NHW2 = middle_N2[:, None, None] + offset_NHW2
-    # grid_sample counts from -1 to 1 between the outer edges of the image.
-    unit_NHW2 = pix_NHW2 / torch.tensor([camera.width_px, camera.height_px]) * 2 - 1
-    image_3HW = torch.from_numpy(np.ascontiguousarray(rgb_HW3)).movedim(-1, 0).float()
-    image_N3HW = image_3HW.expand(len(corners_N83), -1, -1, -1)
-    crops = F.grid_sample(image_N3HW, unit_NHW2, padding_mode="zeros", align_corners=False)
-    return crops.round().to(torch.uint8)
+    crops = []
+    for rgb_HW3, camera in zip(frames.rgb_VHW3, cameras, strict=True):
+        pix_Q2, _ = project(camera.K_33, camera.world_T_cam_44, points_Q3)
+        pix_N82 = torch.from_numpy(pix_Q2).float().reshape(-1, 8, 2)
+        low_N2, high_N2 = pix_N82.amin(1), pix_N82.amax(1)
+        half_N = (high_N2 - low_N2).amax(-1) / 2 * IMAGE_MARGIN
+        offset_NHW2 = half_N[:, None, None, None] * torch.stack([u, v], dim=-1)
+        pix_NHW2 = ((low_N2 + high_N2) / 2)[:, None, None] + offset_NHW2
+        # grid_sample counts from -1 to 1 between the outer edges of the image.
+        unit_NHW2 = pix_NHW2 / torch.tensor([camera.width_px, camera.height_px]) * 2 - 1
+        image_3HW = torch.from_numpy(np.ascontiguousarray(rgb_HW3)).movedim(-1, 0).float()
+        image_N3HW = image_3HW.expand(len(corners_N83), -1, -1, -1)
+        # Pixels outside the image are 0.
+        crops.append(F.grid_sample(image_N3HW, unit_NHW2, align_corners=False))
+    return torch.stack(crops, dim=1).round().to(torch.uint8)

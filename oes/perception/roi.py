@@ -39,7 +39,7 @@ class RoiOutput:
 
 
 class RoiHead(nn.Module):
-    """Lifted views and coarse scene features in regions to ``RoiOutput``."""
+    """Maps lifted views and coarse scene features in regions to ``RoiOutput``."""
 
     offsets: Tensor
 

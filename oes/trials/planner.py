@@ -68,13 +68,14 @@ class Planner:
         self, observation: CameraObservation, center_N3: Floats, size_N3: Floats
     ) -> StateEstimate:
         """Update predicted box centres and sizes with the detections of an observation."""
-        frames, cameras = observation.frames, [observation.camera]
-        scene = self.perceiver.encode(frames, cameras)
+        views = observation.frames, [observation.camera]
+        scene = self.perceiver.encode(*views)
         center_P3, size_P3, _ = (x.double().cpu().numpy() for x in self.perceiver.detect(scene))
         gate_m = self.cfg.track.gate_m
         tracks = update_tracks(center_N3, size_N3, center_P3, size_P3, gate_m)
-        center, size, score = (torch.from_numpy(x).float() for x in tracks)
-        objects = self.perceiver.objects(scene, (center, size, score), frames, cameras)
+        center, size, is_detected = (torch.from_numpy(x).float() for x in tracks)
+        # A box that was not detected has the score 0.
+        objects = self.perceiver.objects(scene, (center, size, is_detected), *views)
         return StateEstimate(objects, *tracks, observation.overhead_HW3)
 
     def plan(
@@ -84,7 +85,11 @@ class Planner:
 
         The other objects are obstacles. Raises PlanError if no plan is feasible.
         """
-        scene = self._planning_scene(estimate, len(goal_G3))
+        occupancy_NXYZ = estimate.objects.crop_NCXYZ[:, 0].float().cpu().numpy()
+        boxes = zip(estimate.center_N3, estimate.size_N3, occupancy_NXYZ, strict=True)
+        threshold, num_goals = self.cfg.track.mask_threshold, len(goal_G3)
+        shapes = [object_footprint(*box, self.voxel_m, threshold) for box in boxes]
+        scene = PlanningScene(shapes[:num_goals], shapes[num_goals:], self.rod, self.half_m)
         cost = GoalCost(scene, goal_G3, self.cfg.avoid)
         sampler, headings_G = PushSampler(scene, self.cfg.push, rng), cost.headings()
         is_risky = self.world_model.is_stochastic and cfg.num_samples > 1
@@ -97,10 +102,3 @@ class Planner:
         # Costs of image-based models are not comparable to the initial cost.
         is_image_based = self.world_model.view is not None
         return plan if is_image_based or plan.cost < cost.initial() else None
-
-    def _planning_scene(self, estimate: StateEstimate, num_goals: int) -> PlanningScene:
-        occupancy_NXYZ = estimate.objects.crop_NCXYZ[:, 0].float().cpu().numpy()
-        boxes = zip(estimate.center_N3, estimate.size_N3, occupancy_NXYZ, strict=True)
-        threshold = self.cfg.track.mask_threshold
-        shapes = [object_footprint(*box, self.voxel_m, threshold) for box in boxes]
-        return PlanningScene(shapes[:num_goals], shapes[num_goals:], self.rod, self.half_m)
