@@ -248,7 +248,7 @@ def test_detections_are_measured_against_objects_and_each_other(
     positions = [true + offset, true - offset, true[:1] + offset]
     images = np.zeros((3, 4, 4, 3), np.uint8)
     frames = Frames(images, np.zeros((3, 4, 4), np.float32), images[..., 0])
-    evaluator = FutureEvaluator(Oracle(positions), None, scenario, 0, (1, 2, 3))
+    evaluator = FutureEvaluator(Oracle(positions), None, scenario, None, 0, (1, 2, 3))
     first, second = evaluator._detection_rows(
         1, "oes", frames, scenario.episode.steps[0].cameras[:3], true
     )

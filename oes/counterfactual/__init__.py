@@ -2,5 +2,5 @@
 Bullet (paper 3.2, 4 and A).
 
 May import perception, dynamics, evaluation, sim and render; not mpc or trials. Start with
-``edits`` (what is changed), then ``compose`` (how a forecast becomes a feature map) and ``runner``.
+``edits`` (changes of a scenario), then ``compose`` (objects moved in the map) and ``runner``.
 """

@@ -35,20 +35,17 @@ class FutureEvaluator:
     perceiver: Perceiver
     source: FrameSource
     scenario: Scenario
+    scene: DecomposedScene
     input_i: int
     query_is: Sequence[int]
 
     def renders(
-        self,
-        scene: DecomposedScene,
-        motions: Mapping[str, ObjectMotion],
-        T: int,
-        renderer: Renderer,
+        self, motions: Mapping[str, ObjectMotion], T: int, renderer: Renderer
     ) -> Iterator[FutureRow]:
         """Image and feature errors at T per motion, and of the map encoded from the image at T.
 
-        Image errors of objects count the pixels of an object now or in the first state, unless the
-        robot covers them then, as its features do not move. ``renderer`` is the episode's.
+        ``objects_psnr_db`` covers pixels that show an object at T or in the first state, except
+        those of the robot, whose features do not move. ``renderer``: of the episode's bodies.
         """
         frames, cameras = self._images(T)
         initial = renderer.render(mesh_poses(self.scenario.episode.steps[0]), cameras)
@@ -59,10 +56,9 @@ class FutureEvaluator:
         encoded = self.perceiver.fields(self.perceiver.encode(*images))
         in_box_XYZ = _in_boxes(self.scenario.episode, T, encoded[0].grid)
         true_features = visible_features(encoded[0])[:, in_box_XYZ]
-        fields = {
-            name: (compose(scene, motion.poses(self.scenario.poses, T)), scene.far_field)
-            for name, motion in motions.items()
-        }
+        poses = {name: motion.poses(self.scenario.poses, T) for name, motion in motions.items()}
+        far_field = self.scene.far_field
+        fields = {name: (compose(self.scene, pose), far_field) for name, pose in poses.items()}
         for name, (near, far) in {**fields, ENCODED: encoded}.items():
             rendered = self.perceiver.render_fields(near, far, cameras)
             error = (visible_features(near)[:, in_box_XYZ] - true_features).norm()
@@ -72,14 +68,12 @@ class FutureEvaluator:
                 "feature_error": round(float(error / true_features.norm()), 4),
             }
 
-    def consistency(
-        self, scene: DecomposedScene, name: str, motion: ObjectMotion, T: int
-    ) -> Iterator[FutureRow]:
+    def consistency(self, name: str, motion: ObjectMotion, T: int) -> Iterator[FutureRow]:
         """Detections of each composed object in one rendered view at a time.
 
         ``centre_mm``: mean distance from the composed centre; ``spread_mm``: between the views.
         """
-        poses = motion.poses(self.scenario.poses, T)
+        scene, poses = self.scene, motion.poses(self.scenario.poses, T)
         _, cameras = self._images(T)
         frames = self.perceiver.render_fields(compose(scene, poses), scene.far_field, cameras)
         center_N3 = (scene.center_N3[poses.source_N] + poses.translation_N3).double().numpy()

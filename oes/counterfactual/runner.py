@@ -92,8 +92,8 @@ class FuturesRunner:
         futures = list(forecast.run_counterfactuals(scenario, *edits, scene.window, rng, world))
         tables: dict[str, list[FutureRow]] = {}
         if episode_i < cfg.num_rendered:
-            evaluator = FutureEvaluator(*views, scenario, input_is[0], cfg.cameras)
-            tables = self._evaluate(evaluator, scene, futures[0])
+            evaluator = FutureEvaluator(*views, scenario, scene, input_is[0], cfg.cameras)
+            tables = self._evaluate(evaluator, futures[0])
         if episode_i < cfg.num_shown:
             self._show(futures, scene, input_is, gallery)
         rows = [row for future in futures for row in edit_rows(future, cfg.horizons_steps)]
@@ -115,7 +115,7 @@ class FuturesRunner:
         write_predictions(self.perceiver, self.source, episode_i, (input_is, cfg.cameras), path)
 
     def _evaluate(
-        self, evaluator: FutureEvaluator, scene: DecomposedScene, future: Counterfactual
+        self, evaluator: FutureEvaluator, future: Counterfactual
     ) -> dict[str, list[FutureRow]]:
         renderer = scene_renderer(future.simulated, self.catalogue, self.cfg.sim)
         motions = dict(future.forecasts)
@@ -123,7 +123,7 @@ class FuturesRunner:
         name = next(iter(self.models))
         rows: dict[str, list[FutureRow]] = {"renders": [], "consistency": []}
         for T in self.cfg.horizons_steps:
-            rows["renders"] += evaluator.renders(scene, motions, T, renderer)
-            rows["consistency"] += evaluator.consistency(scene, name, motions[name], T)
+            rows["renders"] += evaluator.renders(motions, T, renderer)
+            rows["consistency"] += evaluator.consistency(name, motions[name], T)
             rows["consistency"] += evaluator.detector_baseline(T)
         return rows

@@ -105,10 +105,8 @@ class ObjectStore:
 
     def scene(self, observation_i: int) -> tuple[Objects, Tensor]:
         """Objects (unbatched, float32, views padded) and ``gt_N`` (-1: none)."""
-        start, stop = torch.searchsorted(
-            self.tensors["observation_O"],
-            torch.tensor([observation_i, observation_i + 1], dtype=torch.int32),
-        ).tolist()
+        limits = torch.tensor([observation_i, observation_i + 1], dtype=torch.int32)
+        start, stop = torch.searchsorted(self.tensors["observation_O"], limits).tolist()
         part = {}
         for name in FIELD_DTYPES:
             value = self.tensors[name.replace("_N", "_O")][start:stop]
@@ -163,12 +161,9 @@ def read_objects(path: Path) -> ObjectStore:
     if {name: value.dtype for name, value in tensors.items()} != DTYPES:
         raise ObjectsError(f"{path}: not an objects file of this version ({OBJECTS_FORMAT})")
     observation_O, num_observations = tensors["observation_O"], len(tensors["episode_U"])
-    is_consistent = (
-        len({len(tensors[name]) for name in DTYPES if "_O" in name}) == 1
-        and bool((observation_O.diff() >= 0).all())
-        and not (observation_O < 0).any()
-        and not (observation_O >= num_observations).any()
-    )
-    if not is_consistent:
+    lengths = {len(tensors[name]) for name in DTYPES if "_O" in name}
+    is_valid_O = (observation_O >= 0) & (observation_O < num_observations)
+    is_sorted = (observation_O.diff() >= 0).all()
+    if len(lengths) > 1 or not is_sorted or not is_valid_O.all():
         raise ObjectsError(f"{path}: objects and observations do not belong together")
     return ObjectStore(tuple(json.loads(metadata["settings"])), tensors)

@@ -85,11 +85,9 @@ class ObjectsConfig:
             raise ValueError(f"train_observations: expected exactly {valid}; found {dict(counts)}")
         for task, splits in self.test_settings.items():
             for split, names in splits.items():
-                if unknown := set(names) - set(TEST_SETTINGS):
-                    raise ValueError(
-                        f"test_settings.{task}.{split}: unknown {', '.join(sorted(unknown))}; "
-                        f"there are: {', '.join(TEST_SETTINGS)}"
-                    )
+                if unknown := ", ".join(sorted(set(names) - set(TEST_SETTINGS))):
+                    key, valid = f"test_settings.{task}.{split}", ", ".join(TEST_SETTINGS)
+                    raise ValueError(f"{key}: unknown {unknown}; there are: {valid}")
 
     def settings(self, task: str, split: str) -> dict[str, Setting]:
         """The settings of a split, in their order."""
@@ -198,13 +196,11 @@ def perceive_split(
 
     Finished shards of episodes are kept in ``progress`` and reused.
     """
-    cfg, count = scenes.cfg, len(scenes.source.episodes)
-    starts = range(0, count, cfg.shard_episodes)
+    cfg, episode_is = scenes.cfg, range(len(scenes.source.episodes))
+    size = cfg.shard_episodes
     shards = {
-        progress / f"shard_{start:06d}.safetensors": range(count)[
-            start : start + cfg.shard_episodes
-        ]
-        for start in starts
+        progress / f"shard_{start:06d}.safetensors": episode_is[start : start + size]
+        for start in episode_is[::size]
     }
     num_workers = cfg.num_workers if scenes.perceiver.device.type == "cpu" else 1
     write = partial(_write_shard, scenes)

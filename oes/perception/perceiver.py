@@ -40,10 +40,9 @@ class Perceiver:
     def load(cls, path: Path, device: torch.device | None = None) -> "Perceiver":
         """Read a file of ``save``. Raises PerceptionFileError."""
         tensors, metadata = read_tensors(path, PERCEPTION_FORMAT, PerceptionFileError)
+        config = metadata.get("config", "")
         try:
-            net = PerceptionNet(
-                from_json(metadata.get("config", ""), PerceptionNetConfig, str(path))
-            )
+            net = PerceptionNet(from_json(config, PerceptionNetConfig, str(path)))
             net.load_state_dict(tensors)
         except ParamsError as error:
             reason = f"stored config is not of this version: {error}"

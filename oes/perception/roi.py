@@ -74,10 +74,8 @@ class RoiHead(nn.Module):
         # The proposed size enters only here: the window itself has a fixed scale.
         in_box = ((blocks - center).abs() / size).amax(-1)
         extra = torch.stack([in_box.clamp(max=1.0), blocks[..., 2] / HEIGHT_UNIT_M], dim=-1)
-        parts = [
-            part.reshape(batch * count, *self.offsets.shape[:3], -1).to(lifted.dtype)
-            for part in (lifted, context, extra)
-        ]
+        shape = (batch * count, *self.offsets.shape[:3], -1)
+        parts = [x.reshape(shape).to(lifted.dtype) for x in (lifted, context, extra)]
         x = self.net(torch.cat(parts, dim=-1).movedim(-1, 1))
         mask = unfold(self.mask(x)).float().reshape(batch, count, *self.window.shape)
         out = self.box(F.relu(self.shrink(x)).flatten(1)).float().reshape(batch, count, -1)

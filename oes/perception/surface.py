@@ -138,10 +138,9 @@ class SurfaceHead(nn.Module):
         self.direction_proj = nn.Conv2d(cfg.direction_features, width, 1)
         self.context = nn.ModuleList(nn.Conv2d(width, width, 1) for _ in KERNEL_SIZES)
         self.circular_blocks = nn.ModuleList(CircularResBlock(width, (k, 1)) for k in KERNEL_SIZES)
-        self.head, self.skip_head = (
-            nn.Conv2d(count, 3 * cylinder.num_rows + 2, 1)
-            for count in (width, cfg.direction_features)
-        )
+        num_outputs = 3 * cylinder.num_rows + 2
+        self.head = nn.Conv2d(width, num_outputs, 1)
+        self.skip_head = nn.Conv2d(cfg.direction_features, num_outputs, 1)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.skip_head.weight)
 
@@ -151,14 +150,14 @@ class SurfaceHead(nn.Module):
         for block, down in zip(self.blocks, self.downs, strict=True):
             x = F.relu(down(block(x)))
         x = self.radial_proj(x.movedim(-1, 2).flatten(1, 2)[..., None])
-        each_PDC = F.relu(self.direction_encoder(inputs_PCDX.movedim(2, 1).flatten(2)))
-        each_PCD1 = each_PDC.mT[..., None]
-        x = F.relu(x + self.direction_proj(each_PCD1))
+        encoded_PDC = F.relu(self.direction_encoder(inputs_PCDX.movedim(2, 1).flatten(2)))
+        skip_PCD1 = encoded_PDC.mT[..., None]
+        x = F.relu(x + self.direction_proj(skip_PCD1))
         for block, context in zip(self.circular_blocks, self.context, strict=True):
             x = block(x + context(x.mean(2, keepdim=True)))
         # GroupNorm removes features that are constant over an object, such as its height; the skip
-        # connection bypasses the norms.
-        out_PCD = (self.head(x) + self.skip_head(each_PCD1))[..., 0].float()
+        # connection restores them.
+        out_PCD = (self.head(x) + self.skip_head(skip_PCD1))[..., 0].float()
         rows_PR3D = out_PCD[:, :-2].unflatten(1, (self.cfg.cylinder.num_rows, 3))
         # An equivariant vector: the mean over directions of unit vectors times a scalar.
         count = out_PCD.shape[-1]
@@ -187,9 +186,10 @@ class SurfaceHead(nn.Module):
         boxes: tuple[Tensor, Tensor],
         cameras_PV3: Tensor,
     ) -> Tensor:
-        """PCDX for ``forward``: features lifted to ``world_points``, the mask (on ``window``) and
-        the position in the box (centres P3, sizes P3) there; how much each direction faces the
-        cameras.
+        """Inputs PCDX of ``forward``.
+
+        ``lifted_PQC``: features at ``world_points``. ``mask_PXYZ``: on ``window``. ``boxes``:
+        centres P3, sizes P3. ``cameras_PV3``: positions of the cameras.
         """
         center_P3, size_P3 = boxes
         offset_PQ3 = self.world_points(*boxes) - center_P3[:, None]

@@ -45,8 +45,9 @@ class SurfaceTraining:
 
 @dataclass(frozen=True)
 class SurfaceBatch:
-    """P objects: inputs (float16 in memory), ground-truth radii (0: no surface) and centres of
-    mass relative to the centres of their boxes.
+    """P objects: inputs of the head, ground-truth radii (0: no surface) and centres of mass.
+
+    Centres of mass are relative to the centres of the boxes. Inputs are float16 in memory.
     """
 
     inputs_PCDX: Tensor
@@ -59,9 +60,7 @@ class SurfaceBatch:
 
 
 def rotate_batch(batch: SurfaceBatch, num_steps: int, is_mirrored: bool) -> SurfaceBatch:
-    """The objects in a world mirrored in y, if asked for, then turned by ``num_steps``
-    directions.
-    """
+    """The objects after mirroring y (optional) and a rotation by ``num_steps`` directions."""
     count = batch.radius_PRD.shape[-1]
     old_D = (torch.arange(count) - num_steps) % count
     old_D = -old_D % count if is_mirrored else old_D
@@ -159,17 +158,18 @@ def train_surface(
 
 
 def surface_losses(net: nn.Module, batch: SurfaceBatch) -> dict[str, Tensor]:
-    """``radius``: Laplace negative log-likelihood where there is a surface; ``presence``: binary
-    cross-entropy; ``com_offset``: Euclidean distance in units of 10 mm.
+    """Loss terms ``TERMS``, lengths in units of 10 mm.
+
+    ``radius``: Laplace negative log-likelihood where a surface exists. ``presence``: binary
+    cross-entropy. ``com_offset``: Euclidean distance.
     """
     output: SurfaceOutput = net(batch.inputs_PCDX)
     present_PRD = (batch.radius_PRD > 0).float()
     weight_R1 = torch.ones(present_PRD.shape[1], 1, device=present_PRD.device)
     weight_R1[:LAYERS] = SUMMARY_WEIGHT
     weight_PRD = present_PRD * weight_R1
-    nll_PRD = (output.radius_PRD - batch.radius_PRD).abs() / output.scale_PRD + (
-        output.scale_PRD / LENGTH_UNIT_M
-    ).log()
+    log_scale_PRD = (output.scale_PRD / LENGTH_UNIT_M).log()
+    nll_PRD = (output.radius_PRD - batch.radius_PRD).abs() / output.scale_PRD + log_scale_PRD
     com_error_P = (output.com_offset_P3 - batch.com_offset_P3).norm(dim=-1)
     return {
         "radius": (nll_PRD * weight_PRD).sum() / weight_PRD.sum(),
@@ -180,9 +180,7 @@ def surface_losses(net: nn.Module, batch: SurfaceBatch) -> dict[str, Tensor]:
 
 @torch.no_grad()
 def surface_metrics(net: nn.Module, batch: SurfaceBatch) -> dict[str, float]:
-    """Mean absolute error of the radius of each kind of row (mm), share of wrong presences, and
-    mean distance of the centre of mass (mm).
-    """
+    """Mean errors of radii (per type of row) and of centres of mass, share of wrong presences."""
     parts = [net(batch.inputs_PCDX[i : i + 64].float()) for i in range(0, len(batch), 64)]
     output = map_tensors(parts[0], lambda *values: torch.cat(values), *parts[1:])
     present_PRD = batch.radius_PRD > 0
