@@ -129,8 +129,8 @@ def _interpolate(profile_PCD: Tensor, first_row: int, direction_PRD2: Tensor) ->
     rows, count = direction_PRD2.shape[1:3]
     row_Q = torch.arange(rows).repeat_interleave(count) + first_row
     row_PQ = row_Q.expand(len(profile_PCD), -1)
-    found_PQ = radius_at(profile_PCD, row_PQ, direction_PRD2.flatten(1, 2))
-    return found_PQ.reshape(direction_PRD2.shape[:-1])
+    value_PQ = radius_at(profile_PCD, row_PQ, direction_PRD2.flatten(1, 2))
+    return value_PQ.reshape(direction_PRD2.shape[:-1])
 
 
 def _transform_cameras(camera_BNV12: Tensor, M_B33: Tensor, flip_B: Tensor) -> Tensor:
@@ -154,5 +154,5 @@ def _transform_crops(crop_BNCXYZ: Tensor, M_B33: Tensor, shift_voxels_BN3: Tenso
     # Channels and heights become the channels of one image: both are resampled alike.
     planes_BNCZXY = crop_BNCXYZ.permute(0, 1, 2, 5, 3, 4)
     planes_PCXY = planes_BNCZXY.flatten(0, 1).flatten(1, 2)
-    found_PCXY = F.grid_sample(planes_PCXY, grid_PXY2, align_corners=False)
-    return found_PCXY.reshape(planes_BNCZXY.shape).permute(0, 1, 2, 4, 5, 3)
+    resampled_PCXY = F.grid_sample(planes_PCXY, grid_PXY2, align_corners=False)
+    return resampled_PCXY.reshape(planes_BNCZXY.shape).permute(0, 1, 2, 4, 5, 3)

@@ -58,7 +58,7 @@ class Contact(GraphModel):
         return self._unpack(appearance_BNC).sample(uncertainty, generator).pack()
 
     def step(self, appearance_BNC: Tensor, state: ObjectState, tip: TipMotion) -> StepMotion:
-        """Sliding corrected by the graph network; objects that do not slide stay."""
+        """Sliding motion plus the graph network's correction; 0 for objects that do not slide."""
         contact, unit_m = self.net.contact, self.net.graph.unit_m
         shapes, axes_B22 = self._unpack(appearance_BNC), tip.axes_B33()[:, :2, :2]
         prior = self._slide(shapes, state, tip)
@@ -72,14 +72,14 @@ class Contact(GraphModel):
             prior.twist_BN3[..., 2:] * contact.step_s,
         ]
         features = replace(features, node_BNC=torch.cat(node, -1))
-        found: StepMotion = self.graph(features, state, tip)
+        residual: StepMotion = self.graph(features, state, tip)
         if contact.physics is None:
-            return replace(found, twist_BN3=prior.twist_BN3)
+            return replace(residual, twist_BN3=prior.twist_BN3)
         # Without the mask, a bystander would drift by the network's residual error.
         slides_BN1 = prior.dp_BN3.norm(dim=-1, keepdim=True) > MIN_SLIDE_M
         return StepMotion(
-            prior.dp_BN3 + found.dp_BN3 * slides_BN1,
-            prior.rotvec_BN3 + found.rotvec_BN3 * slides_BN1,
+            prior.dp_BN3 + residual.dp_BN3 * slides_BN1,
+            prior.rotvec_BN3 + residual.rotvec_BN3 * slides_BN1,
             prior.twist_BN3,
         )
 

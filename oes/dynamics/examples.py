@@ -17,7 +17,7 @@ Perceived = tuple[Objects, Sequence[int], int]
 
 @dataclass(frozen=True)
 class Examples:
-    """U observations (episodes seen from some views) and their futures as one batch, in memory.
+    """U observations (an episode under one setting each) and their futures as one batch, in memory.
 
     ``episode_U``: index of the observation's episode in its split.
     """
@@ -44,14 +44,14 @@ class Examples:
 
 def make_examples(perceived: Sequence[Perceived], episodes: Mapping[int, Episode]) -> Examples:
     """Join observations, all of whose objects have a true one, with their episodes."""
-    most = max(len(truth) for _, truth, _ in perceived)
+    num = max(len(truth) for _, truth, _ in perceived)
     recorded = [episodes[episode_i] for *_, episode_i in perceived]
     futures = [
-        _future(episode, objects, truth, most)
+        _future(episode, objects, truth, num)
         for episode, (objects, truth, _) in zip(recorded, perceived, strict=True)
     ]
     batch = DynamicsBatch(
-        objects=stack([padded(objects, most) for objects, *_ in perceived]),
+        objects=stack([padded(objects, num) for objects, *_ in perceived]),
         tip_B3=_tensor([episode.steps[0].tip_world_3 for episode in recorded]),
         actions_BT3=_tensor([episode.actions_T3 for episode in recorded]),
         translation_BTN3=_tensor([translation_TN3 for translation_TN3, _ in futures]),
@@ -84,11 +84,11 @@ def stack(scenes: Sequence[Objects]) -> Objects:
 
 
 def _future(
-    episode: Episode, objects: Objects, truth: Sequence[int], most: int
+    episode: Episode, objects: Objects, truth: Sequence[int], num: int
 ) -> tuple[Floats, Floats]:
     """True motion TN3, TN33 of the perceived reference points; padding stays at rest."""
     steps = len(episode.actions_T3)
-    translation, rotation = np.zeros((steps, most, 3)), np.tile(np.eye(3), (steps, most, 1, 1))
+    translation, rotation = np.zeros((steps, num, 3)), np.tile(np.eye(3), (steps, num, 1, 1))
     for i, object_i in enumerate(truth):
         center_3 = objects.center_N3[i].double().numpy()
         translation[:, i], rotation[:, i] = true_motion(episode.steps, object_i, center_3)

@@ -9,16 +9,16 @@ VALIDATED_STEPS = (1, 3, 5)
 
 
 def loss_terms(
-    found: Rollout, batch: DynamicsBatch, unit_m: float, smoothing: float
+    predicted: Rollout, batch: DynamicsBatch, unit_m: float, smoothing: float
 ) -> dict[str, Tensor]:
     """Mean losses over valid objects and steps: |p' - p| / unit and |R' - R|_F / (2 sqrt 2).
 
-    The latter is sin(angle / 2): within 4% of the paper's quaternion distance 2 sin(angle / 4) up
-    to 60 degrees, and free of its double cover. Errors well below ``smoothing`` (> 0) count by
-    their square: most objects stay at rest, and a mere distance would keep every forecast there.
+    The rotation term is sin(angle / 2): within 4% of the paper's quaternion distance
+    2 sin(angle / 4) up to 60 degrees, without the double cover. Errors well below ``smoothing``
+    (> 0) count quadratically: most objects rest, and a norm would hold every forecast at rest.
     """
-    translation = (found.translation_BTN3 - batch.translation_BTN3) / unit_m
-    rotation = (found.rotation_BTN33 - batch.rotation_BTN33).flatten(-2) / 8**0.5
+    translation = (predicted.translation_BTN3 - batch.translation_BTN3) / unit_m
+    rotation = (predicted.rotation_BTN33 - batch.rotation_BTN33).flatten(-2) / 8**0.5
     valid_BTN = batch.objects.valid_N[:, None].expand(translation.shape[:-1])
 
     def mean(x_BTNC: Tensor) -> Tensor:
@@ -29,11 +29,11 @@ def loss_terms(
     return {"translation": mean(translation), "rotation": mean(rotation)}
 
 
-def errors(found: Rollout, batch: DynamicsBatch) -> dict[str, float]:
+def errors(predicted: Rollout, batch: DynamicsBatch) -> dict[str, float]:
     """Mean errors of valid objects at T = 1, 3, 5, if forecast: ``mm_1``, ``deg_1``, ``mm_3``..."""
-    distance_BTN = (found.translation_BTN3 - batch.translation_BTN3).norm(dim=-1)
+    distance_BTN = (predicted.translation_BTN3 - batch.translation_BTN3).norm(dim=-1)
     # The chord |R' - R| determines the angle: exact for small ones, unlike the trace.
-    chord_BTN = (found.rotation_BTN33 - batch.rotation_BTN33).flatten(-2).norm(dim=-1)
+    chord_BTN = (predicted.rotation_BTN33 - batch.rotation_BTN33).flatten(-2).norm(dim=-1)
     angle_BTN = 2 * (chord_BTN / 8**0.5).clamp(max=1).asin()
     valid_BN = batch.objects.valid_N
     out = {}

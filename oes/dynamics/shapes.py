@@ -13,7 +13,7 @@ from oes.geom.polar import directions
 from oes.objects import LAYERS, SUPPORT, UNION, UPPER, Objects, map_tensors
 
 # Low on purpose: a missing surface lets the rod pass through and lets an object fall over, which
-# costs more than a surface too many.
+# is the worse error.
 MIN_PRESENCE = 0.1
 NUM_SUPPORTS = 16
 MIN_GYRATION_M = 0.01

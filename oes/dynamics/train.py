@@ -68,8 +68,8 @@ class DynamicsConfig:
         """Settings of a task. Raises ValueError for an unknown task."""
         if task not in (names := [field.name for field in fields(self)]):
             raise ValueError(f"dynamics: unknown task {task!r}; valid: {', '.join(names)}")
-        found: TaskConfig = getattr(self, task)
-        return found
+        config: TaskConfig = getattr(self, task)
+        return config
 
 
 def train_dynamics(
@@ -87,8 +87,8 @@ def train_dynamics(
 
     def loss(learner: nn.Module, batch: DynamicsBatch) -> Mapping[str, Tensor]:
         model = cast(DynamicsModel, learner)
-        found = _unroll(model, batch) if cfg.unroll else teacher_forced(model, batch)
-        return loss_terms(found, batch, cfg.net.graph.unit_m, cfg.smoothing)
+        rollout = _unroll(model, batch) if cfg.unroll else teacher_forced(model, batch)
+        return loss_terms(rollout, batch, cfg.net.graph.unit_m, cfg.smoothing)
 
     def validate(learner: nn.Module) -> Mapping[str, float]:
         return errors(_unroll(cast(DynamicsModel, learner), validation), validation)
@@ -102,11 +102,11 @@ def train_dynamics(
 @torch.no_grad()
 def calibrate(model: DynamicsModel, validation: DynamicsBatch) -> None:
     """Fit the model's error model to its errors and spreads on held-out scenes."""
-    found = _unroll(model, validation)
-    assert found.spread_BTN is not None
-    predicted, true = found.translation_BTN3, validation.translation_BTN3
+    rollout = _unroll(model, validation)
+    assert rollout.spread_BTN is not None
+    predicted, true = rollout.translation_BTN3, validation.translation_BTN3
     valid_BN = validation.objects.valid_N
-    errors_TP, spreads_TP = errors_and_spreads(predicted, true, found.spread_BTN, valid_BN)
+    errors_TP, spreads_TP = errors_and_spreads(predicted, true, rollout.spread_BTN, valid_BN)
     model.error_model = fit_error_model(errors_TP, spreads_TP)
 
 

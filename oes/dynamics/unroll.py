@@ -93,18 +93,18 @@ def unroll_mean(
     if count == 1:
         return unroll_samples(model, appearance_BNC, state, tip_B3, actions_BT3)
     # Samples are stacked along the batch axis.
-    each = unroll_samples(
+    samples = unroll_samples(
         model,
         model.sample(appearance_BNC),
         map_tensors(state, lambda x: torch.cat([x] * count)),
         torch.cat([tip_B3] * count),
         torch.cat([actions_BT3] * count),
     )
-    translation_MBTN3 = torch.unflatten(each.translation_BTN3, 0, (count, -1))
+    translation_MBTN3 = torch.unflatten(samples.translation_BTN3, 0, (count, -1))
     mean_BTN3 = translation_MBTN3.mean(0)
     spread_BTN = (translation_MBTN3 - mean_BTN3).square().sum(-1).mean(0).sqrt()
     # The mean of rotation matrices is projected back onto the rotations.
-    mean_BTN33 = torch.unflatten(each.rotation_BTN33, 0, (count, -1)).mean(0)
+    mean_BTN33 = torch.unflatten(samples.rotation_BTN33, 0, (count, -1)).mean(0)
     sigma_BTN = None if model.error_model is None else model.error_model.sigma(spread_BTN)
     return Rollout(mean_BTN3, roma.special_procrustes(mean_BTN33), sigma_BTN, spread_BTN)
 

@@ -120,18 +120,18 @@ def _scene_rows(
 
 def _calibration(forecast: Forecast, t: int, n: int, error_mm: float) -> tuple[float | None, ...]:
     """``sigma_mm`` and the columns after it."""
-    law = forecast.error_model
-    if forecast.sigma_TN is None or law is None or not forecast.detected_N[n]:
+    model = forecast.error_model
+    if forecast.sigma_TN is None or model is None or not forecast.detected_N[n]:
         return (None,) * 5
     sigma_mm = float(forecast.sigma_TN[t, n]) * 1e3
-    sigma_T = law.homoscedastic_sigma_T
+    sigma_T = model.homoscedastic_sigma_T
     common_mm = sigma_T[min(t, len(sigma_T) - 1)] * 1e3
     within_50, within_90 = (
-        int(error_mm < error_quantile(level, np.array(sigma_mm), law.dof)) for level in (0.5, 0.9)
+        int(error_mm < error_quantile(level, np.array(sigma_mm), model.dof)) for level in (0.5, 0.9)
     )
     nll, nll_homoscedastic = (
         round(float(error_nll(np.array(error_mm), np.array(sigma), dof)), 4)
-        for sigma, dof in ((sigma_mm, law.dof), (common_mm, law.homoscedastic_dof))
+        for sigma, dof in ((sigma_mm, model.dof), (common_mm, model.homoscedastic_dof))
     )
     return round(sigma_mm, 4), within_50, within_90, nll, nll_homoscedastic
 

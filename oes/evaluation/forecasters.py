@@ -141,8 +141,8 @@ class ModelForecaster:
     ) -> list[Forecast]:
         if not scenes:
             return []
-        most = max(len(scene.truth) for scene in scenes)
-        objects = stack([padded(scene.objects, most) for scene in scenes])
+        num = max(len(scene.truth) for scene in scenes)
+        objects = stack([padded(scene.objects, num) for scene in scenes])
         recorded = [episodes[scene.episode_i] for scene in scenes]
         tip_B3 = np.stack([episode.steps[0].tip_world_3 for episode in recorded])
         actions_BT3 = np.stack([episode.actions_T3 for episode in recorded])
@@ -151,8 +151,8 @@ class ModelForecaster:
         translation_BTN3 = rollout.translation_BTN3.double().numpy()
         rotation_BTN33 = rollout.rotation_BTN33.double().numpy()
         forecasts = [
-            to_gt_objects(*each)
-            for each in zip(scenes, recorded, translation_BTN3, rotation_BTN33, strict=True)
+            to_gt_objects(*args)
+            for args in zip(scenes, recorded, translation_BTN3, rotation_BTN33, strict=True)
         ]
         if rollout.sigma_BTN is None:
             return forecasts
@@ -179,8 +179,8 @@ class SimulatorForecaster:
     def __call__(
         self, scenes: Sequence[PerceivedScene], episodes: Mapping[int, Episode]
     ) -> list[Forecast]:
-        wanted = {_key(episodes[scene.episode_i]): episodes[scene.episode_i] for scene in scenes}
-        new = [episode for key, episode in wanted.items() if key not in self._cache]
+        recorded = {_key(episodes[scene.episode_i]): episodes[scene.episode_i] for scene in scenes}
+        new = [episode for key, episode in recorded.items() if key not in self._cache]
         chunks = [new[i::CHUNKS] for i in range(min(CHUNKS, len(new)))]
         jobs = (delayed(self._replay)(chunk) for chunk in chunks)
         for forecasts in Parallel(n_jobs=self.num_workers)(jobs):
@@ -190,8 +190,8 @@ class SimulatorForecaster:
     def _replay(self, episodes: Sequence[Episode]) -> dict[tuple[str, int], Forecast]:
         forecasts = {}
         for episode in episodes:
-            again = replay(self.catalogue, self.sim, episode, self.mass_kg, self.friction)
-            forecasts[_key(episode)] = true_forecast(again, episode.steps[0].center_N3)
+            replayed = replay(self.catalogue, self.sim, episode, self.mass_kg, self.friction)
+            forecasts[_key(episode)] = true_forecast(replayed, episode.steps[0].center_N3)
         return forecasts
 
 

@@ -25,8 +25,8 @@ def iou(center_a: Array, size_a: Array, center_b: Array, size_b: Array) -> Array
     low = maximum(center_a - size_a / 2, center_b - size_b / 2)
     intersection = (high - low).clip(0).prod(-1)
     union = size_a.prod(-1) + size_b.prod(-1) - intersection
-    found: Array = intersection / union.clip(1e-12)
-    return found
+    ratio: Array = intersection / union.clip(1e-12)
+    return ratio
 
 
 def support_height(center_3: Tensor, size_3: Tensor) -> Tensor:

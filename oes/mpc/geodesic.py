@@ -27,7 +27,7 @@ class DistanceField:
 
     def __call__(self, xy: Floats) -> Floats:
         """Distances ... of points ...2; a point beyond the table takes the value at its edge."""
-        # Nearest-neighbour lookup: the error is below GRID_M, less than the planning margin.
+        # Nearest-neighbour lookup: the error is below FIELD_CELL_M, less than the planning margin.
         index = np.rint((xy + self.half_m) / FIELD_CELL_M).astype(int)
         index = index.clip(0, len(self._distance_XY) - 1)
         return np.asarray(self._distance_XY[index[..., 0], index[..., 1]])

@@ -164,8 +164,8 @@ def _start(shape: Footprint, heading: float, offset: float, standoff: float) -> 
     line = offset * width / 2 + (across_P.max() + across_P.min()) / 2
     # Each cell counts as a disc: the rod stops where the first disc is ``reach`` from its axis.
     reach = standoff + shape.cell_m / 2
-    apart_P = np.abs(across_P - line)
-    is_hit_P = apart_P < reach
-    stops = along_P[is_hit_P] - np.sqrt(reach**2 - apart_P[is_hit_P] ** 2)
+    distance_P = np.abs(across_P - line)
+    is_hit_P = distance_P < reach
+    stops = along_P[is_hit_P] - np.sqrt(reach**2 - distance_P[is_hit_P] ** 2)
     start: Floats = shape.center_2 + line * left + stops.min(initial=0.0) * forward
     return start

@@ -115,15 +115,15 @@ class HeightmapEncoder(nn.Module):
         coverage, underside, top, gaps = torch.unflatten(edge_E8XY, 1, (4, 2)).unbind(1)
         both = coverage.prod(1)
         exists = both > MIN_COVERAGE**2
-        found = []
+        features = []
         for above, below in ((0, 1), (1, 0)):
             gap = gaps[:, above] / both.clamp(min=MIN_COVERAGE**2)
-            found += [
+            features += [
                 self._smallest(gap, exists, half_E2, -half_E2),
                 self._slope(underside[:, above], coverage[:, above], gap, exists),
                 self._slope(top[:, below], coverage[:, below], gap, exists),
             ]
-        return torch.cat(found, -1)
+        return torch.cat(features, -1)
 
     def _smallest(self, gap_OXY: Tensor, exists_OXY: Tensor, *offsets_O2: Tensor) -> Tensor:
         """Existence, size and position of the smallest gap, OC; four numbers per offset.
@@ -133,10 +133,10 @@ class HeightmapEncoder(nn.Module):
         weight = self._soft_argmin(gap_OXY, exists_OXY, GAP_SOFTNESS_M)
         exists_O1 = exists_OXY.flatten(1).any(-1, keepdim=True).float()
         size_O1 = (weight * gap_OXY.flatten(1)).sum(-1, keepdim=True)
-        position_O2, found = weight @ self.window_Q2, []
+        position_O2, features = weight @ self.window_Q2, []
         for offset_O2 in offsets_O2:
-            found += [exists_O1, size_O1, (position_O2 + offset_O2) / self.unit_m * exists_O1]
-        return torch.cat(found, -1)
+            features += [exists_O1, size_O1, (position_O2 + offset_O2) / self.unit_m * exists_O1]
+        return torch.cat(features, -1)
 
     def _slope(self, surface: Tensor, coverage: Tensor, gap: Tensor, exists: Tensor) -> Tensor:
         """Slopes O2 (rise over run along x and y) of a surface OXY at the smallest gap, else 0."""

@@ -65,9 +65,9 @@ class PointNet(nn.Module):
 
     def forward(self, points_PC: Tensor, presence_P: Tensor) -> Tensor:
         """Points are weighted by their existence probability ``presence_P``."""
-        each_PC = self.point_mlp(points_PC) * presence_P[..., None]
-        mean_C = each_PC.sum(-2) / presence_P.sum(-1, keepdim=True).clamp(min=1)
-        feature_C: Tensor = self.head(torch.cat([mean_C, each_PC.amax(-2)], -1))
+        point_PC = self.point_mlp(points_PC) * presence_P[..., None]
+        mean_C = point_PC.sum(-2) / presence_P.sum(-1, keepdim=True).clamp(min=1)
+        feature_C: Tensor = self.head(torch.cat([mean_C, point_PC.amax(-2)], -1))
         return feature_C
 
 

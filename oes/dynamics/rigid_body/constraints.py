@@ -41,24 +41,24 @@ class ContactRows(NamedTuple):
 
 
 def empty_rows(num: int) -> ContactRows:
-    """Rows for the most contacts that ``num`` bodies can have, uninitialized."""
-    most = num * (2 * MAX_POINTS + num)
+    """Rows for the largest number of contacts that ``num`` bodies can have, uninitialized."""
+    rows = num * (2 * MAX_POINTS + num)
     shapes = (4,), (3, 3), (2, 3), (2, 3, 3), (2, 3, 3), (3,), (2,), (4,)
-    return ContactRows(np.empty((most, 2), np.int64), *(np.empty((most, *x)) for x in shapes))
+    return ContactRows(np.empty((rows, 2), np.int64), *(np.empty((rows, *x)) for x in shapes))
 
 
 @jit
 def world_inverse_inertia(
-    rotation_33: Floats, inverse_33: Floats, mass: float, found_33: Floats
+    rotation_33: Floats, inverse_33: Floats, mass: float, out_33: Floats
 ) -> None:
-    """R I^-1 R^T / mass into ``found_33``."""
+    """R I^-1 R^T / mass into ``out_33``."""
     for i in range(3):
         for j in range(3):
             total = 0.0
             for k in range(3):
                 for m in range(3):
                     total += rotation_33[i, k] * inverse_33[k, m] * rotation_33[j, m]
-            found_33[i, j] = total / mass
+            out_33[i, j] = total / mass
 
 
 @jit

@@ -193,5 +193,5 @@ def _radius_at(profile_D: Floats, x: float, y: float) -> float:
     below = math.floor(position)
     first = int(below) % count
     step = profile_D[(first + 1) % count] - profile_D[first]
-    found: float = profile_D[first] + (position - below) * step
-    return found
+    radius: float = profile_D[first] + (position - below) * step
+    return radius

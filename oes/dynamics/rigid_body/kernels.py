@@ -54,8 +54,8 @@ class State(NamedTuple):
 @jit
 def dot(a_3: Vector, b_3: Vector) -> float:
     """Scalar product, summed from the first component on."""
-    found: float = a_3[0] * b_3[0] + a_3[1] * b_3[1] + a_3[2] * b_3[2]
-    return found
+    product: float = a_3[0] * b_3[0] + a_3[1] * b_3[1] + a_3[2] * b_3[2]
+    return product
 
 
 @jit

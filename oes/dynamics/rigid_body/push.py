@@ -44,9 +44,9 @@ def simulate_push(
     state = map_tensors(state, lambda x: x[scene_B1, order_BN])
 
     def run(part: slice) -> PlanarState:
-        some = map_tensors(bodies, lambda x: x[part])
+        part_bodies = map_tensors(bodies, lambda x: x[part])
         start = map_tensors(state, lambda x: x[part])
-        return _simulate(some, start, tip_B2[part], action_B2[part], cfg)
+        return _simulate(part_bodies, start, tip_B2[part], action_B2[part], cfg)
 
     with ThreadPoolExecutor(count) as pool:
         first, *others = pool.map(run, [slice(*ends) for ends in pairwise(bounds)])

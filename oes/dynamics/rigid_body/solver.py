@@ -118,16 +118,16 @@ def _velocity(rows: ContactRows, p: int, k: int, twist_N6: Floats) -> float:
     """Relative velocity of the first body at the contact along row ``k``."""
     axis_P33, angular_P233 = rows.axis_P33, rows.angular_P233
     n, other = rows.body_P2[p, 0], rows.body_P2[p, 1]
-    found: float = -rows.velocity_P2[p, 0] * axis_P33[p, k, 0]
-    found -= rows.velocity_P2[p, 1] * axis_P33[p, k, 1]
+    velocity: float = -rows.velocity_P2[p, 0] * axis_P33[p, k, 0]
+    velocity -= rows.velocity_P2[p, 1] * axis_P33[p, k, 1]
     for i in range(3):
         linear = twist_N6[n, i] * axis_P33[p, k, i]
-        found += linear + twist_N6[n, 3 + i] * angular_P233[p, 0, k, i]
+        velocity += linear + twist_N6[n, 3 + i] * angular_P233[p, 0, k, i]
     if other != KINEMATIC:
         for i in range(3):
-            found -= twist_N6[other, i] * axis_P33[p, k, i]
-            found -= twist_N6[other, 3 + i] * angular_P233[p, 1, k, i]
-    return found
+            velocity -= twist_N6[other, i] * axis_P33[p, k, i]
+            velocity -= twist_N6[other, 3 + i] * angular_P233[p, 1, k, i]
+    return velocity
 
 
 @jit

@@ -45,51 +45,47 @@ def advance_substeps(
 
     ``rows``: work space; ``forward_B2``: direction of the rod.
     """
-    planar_BN3, (table, rod) = np.empty_like(state.com_BN3), manifolds
+    table, rod = manifolds
     settings = cfg.spinning_m, cfg.dt, cfg.iterations
     for step in range(cfg.substeps):
         contact_BN7 = detect_rod(bodies, state, rod.origin_B3, cfg.rod_radius_m, cfg.tip_height_m)
         update_manifold(rod, contact_BN7, state)
-        _planar_pose(state, planar_BN3)
         # The first substep tests all pairs: bodies may start out in contact.
         is_tested_BN = state.is_awake_BN | (step == 0)
-        pair_BNN9 = detect_pairs(bodies, planar_BN3, cfg.margin_m, is_tested_BN)
-        _wake(rod, pair_BNN9, state.is_awake_BN)
-        is_active_BN = _active(pair_BNN9, state.is_awake_BN)
+        pair_BNN9 = detect_pairs(bodies, _planar_pose(state), cfg.margin_m, is_tested_BN)
+        is_active_BN = _wake(rod, pair_BNN9, state.is_awake_BN)
         contact_BN7 = detect_table(bodies, state, forward_B2, is_active_BN)
         update_manifold(table, contact_BN7, state)
         state.twist_BN6[..., 2] -= GRAVITY * cfg.dt
         solve_contacts(bodies, state, manifolds, pair_BNN9, is_active_BN, rows, settings)
         _integrate(state, rod, cfg.dt)
-    _planar_pose(state, planar_BN3)
-    return planar_BN3
+    return _planar_pose(state)
 
 
 @jit
-def _planar_pose(state: State, planar_BN3: Floats) -> None:
-    """x, y and the yaw of the rotation about z that is nearest to the body's rotation."""
+def _planar_pose(state: State) -> Floats:
+    """Poses BN3: x, y and the yaw of the rotation about z that is nearest to the body's."""
+    planar_BN3 = np.empty_like(state.com_BN3)
     for b, n in np.ndindex(planar_BN3.shape[:2]):
         R_33 = state.rotation_BN33[b, n]
         planar_BN3[b, n, :2] = state.com_BN3[b, n, :2]
         planar_BN3[b, n, 2] = math.atan2(R_33[1, 0] - R_33[0, 1], R_33[0, 0] + R_33[1, 1])
+    return planar_BN3
 
 
 @jit
-def _wake(rod: Manifold, pair_BNN9: Floats, is_awake_BN: Bools) -> None:
-    """Wake bodies that the rod or another body comes close to."""
+def _wake(rod: Manifold, pair_BNN9: Floats, is_awake_BN: Bools) -> Bools:
+    """Wake bodies that the rod or another body comes close to.
+
+    Returns the active bodies BN: those awake or near an awake one, whose contacts are solved.
+    """
+    is_near_BN = np.zeros_like(is_awake_BN)
     for b, n, other in np.ndindex(pair_BNN9.shape[:3]):
         if rod.count_BN[b, n] > 0 or pair_BNN9[b, n, other, 8] < WAKE_M:
             is_awake_BN[b, n] = True
-
-
-@jit
-def _active(pair_BNN9: Floats, is_awake_BN: Bools) -> Bools:
-    """Bodies BN that are awake or near an awake one; only their contacts are solved."""
-    is_active_BN = is_awake_BN.copy()
-    for b, n, other in np.ndindex(pair_BNN9.shape[:3]):
         if pair_BNN9[b, n, other, 8] < np.inf:
-            is_active_BN[b, n] = is_active_BN[b, other] = True
-    return is_active_BN
+            is_near_BN[b, n] = is_near_BN[b, other] = True
+    return is_awake_BN | is_near_BN
 
 
 @jit
