@@ -21,8 +21,9 @@ ClipsLoss = Callable[[nn.Module, Clips], dict[str, Tensor]]
 
 @params
 class PlanetLossConfig:
-    """Besides the weights of the terms: free nats of the KL; extra weight of pixels that differ
-    from the mean image; largest offset of a goal from its object per axis (normalised).
+    """``free_nats``: of the KL. ``goal_range``: largest offset of a goal per axis (normalised).
+
+    A pixel that differs from the mean image counts ``1 + changed_pixel_weight`` times.
     """
 
     free_nats: float

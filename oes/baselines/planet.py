@@ -1,10 +1,9 @@
 """PlaNet at small size: a recurrent state-space model of images and rewards (Hafner et al. 2019).
 
-As appendix C.2 asks, the goals join the first fully connected layer after the image encoder, and
-the reward is minus the distance to the goals. Deviations: that layer is added (the original has
-none); the reward head sees the goals too; the action contains the rod's start, since pushes start
-anywhere; the image loss weights pixels that differ from the mean image, since objects cover 1% of
-the image.
+As in appendix C.2, the goals are inputs of the first fully connected layer after the image encoder,
+and the reward is minus the distance to the goals. Deviations from the original: that layer; goals
+are inputs of the reward head; the action contains the rod's start, since pushes start anywhere;
+pixels that differ from the mean image have a larger weight, since objects cover 1% of the image.
 """
 
 import itertools
@@ -83,13 +82,13 @@ class PlaNet(nn.Module):
         return LatentState(*(like.new_zeros(batch, size) for size in sizes))
 
     def prior(self, state: LatentState, action_B4: Tensor) -> tuple[Tensor, Normal]:
-        """The recurrent part after an action, and the prior of the stochastic part."""
+        """The deterministic part after an action, and the prior of the stochastic part."""
         hidden = F.relu(self.gru_input(torch.cat([state.stochastic_BC, action_B4], -1)))
         recurrent_BC = self.gru(hidden, state.recurrent_BC)
         return recurrent_BC, _normal(self.prior_head(recurrent_BC))
 
     def posterior(self, recurrent_BC: Tensor, embedding_BC: Tensor, goal_BG3: Tensor) -> Normal:
-        """The stochastic part given an image."""
+        """Distribution of the stochastic part given an image."""
         inputs = torch.cat([recurrent_BC, embedding_BC, goal_BG3.flatten(1)], -1)
         return _normal(self.posterior_head(inputs))
 

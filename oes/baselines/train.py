@@ -57,7 +57,7 @@ class BaselinesConfig:
 def train_baseline(
     cfg: BaselinesConfig, name: str, clips: Clips, work: Path, device: torch.device
 ) -> tuple[BaselineModel, list[dict[str, float]]]:
-    """Train a model of ``BASELINES``, or resume from the checkpoint in ``work``; its log.
+    """Train a model of ``BASELINES`` or resume from ``work``; returns it and the rows of its log.
 
     Raises BaselineError for an unknown name.
     """

@@ -1,10 +1,10 @@
 """Visual Foresight at small size: video prediction by warping pixels (Ebert et al. 2018; C.2).
 
-A U-Net sees the current image, the first image and the push. It predicts several flow fields and
-blending masks. The next image is the masked sum of the current image warped by each flow, of the
-current image and of the first image. Probability maps of designated pixels are warped alike.
-Deviations from the original, to train on two cores: no recurrence (as in the ablation of the
-public code), training on single steps, the rod's positions as input maps.
+From the current image, the first image and the push, a U-Net predicts flow fields and blending
+masks. The next image is the masked sum of the current image warped by each flow, of the current
+image and of the first image. Probability maps of designated pixels are warped alike. Deviations
+from the original, to train on two cores: no recurrence (as in the ablation of the public code),
+training on single steps, the rod's positions as input maps.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ PUSH_CHANNELS = 4  # maps of the rod before and after, and the two components of
 
 @params
 class ForesightConfig:
-    """``channels``: output channels at each resolution, from full, halved each time."""
+    """``channels``: output channels per resolution; each resolution is half the previous one."""
 
     channels: tuple[int, ...]
     num_flows: int

@@ -1,7 +1,7 @@
 """Scene composition: the feature map with its objects moved (paper 3.2).
 
-The paper sums Draw(Rotate(m) * Rotate(M), p) over objects. Here the map is resampled once, at the
-original position of each voxel's content. Overlapping objects share a voxel.
+The paper sums Draw(Rotate(m) * Rotate(M), p) over objects. Here every voxel samples the map at the
+initial position of its content. Overlapping objects are averaged.
 """
 
 from dataclasses import dataclass, replace
@@ -99,7 +99,7 @@ def compose(scene: DecomposedScene, poses: PoseTable) -> Field:
 
 
 def _weights(scene: DecomposedScene, poses: PoseTable) -> Tensor:
-    """Share of each object in each map voxel: NP."""
+    """Occupancy NP of the voxels of the map by each object."""
     points = centers(scene.grid, scene.map_CXYZ.device).reshape(-1, 3)
     masks = scene.mask_NXYZ[poses.source_N][:, None]
     weight = sample(masks, scene.window, _origins(scene, poses, points))[..., 0]
@@ -107,7 +107,7 @@ def _weights(scene: DecomposedScene, poses: PoseTable) -> Tensor:
 
 
 def _origins(scene: DecomposedScene, poses: PoseTable, points_P3: Tensor) -> Tensor:
-    """Original positions NP3 of the content of points, relative to the first centres."""
+    """Initial positions NP3, relative to each object's centre, of points that move with it."""
     center_N3 = scene.center_N3[poses.source_N] + poses.translation_N3
     rotated_back = (points_P3 - center_N3[:, None]) @ poses.rotation_N33
     return rotated_back / poses.scale_N[:, None, None]

@@ -108,14 +108,14 @@ def add_object(scenario: Scenario, i: int, shift_3: Floats) -> Scenario:
 
 
 def shift_rod(scenario: Scenario, shift_3: Floats) -> Scenario:
-    """Start the rod elsewhere."""
+    """Shift the initial position of the rod (metres)."""
     first, *later = scenario.episode.steps
     first = replace(first, tip_world_3=first.tip_world_3 + shift_3)
     return replace(scenario, episode=replace(scenario.episode, steps=(first, *later)))
 
 
 def redirect_push(scenario: Scenario, turn_rad: float) -> Scenario:
-    """Turn the actions about the vertical through the rod's start."""
+    """Rotate all actions about the vertical."""
     actions_T3 = scenario.episode.actions_T3 @ rotation_z(turn_rad).T
     return replace(scenario, episode=replace(scenario.episode, actions_T3=actions_T3))
 
@@ -164,7 +164,7 @@ def draw_edit(
 def _attempt(
     edit: str, scenario: Scenario, i: int, cfg: EditsConfig, window: Grid, rng: np.random.Generator
 ) -> tuple[Scenario | None, int | None]:
-    """A random edit of perceived object ``i``, and the true object whose place must be free."""
+    """A random edit of perceived object ``i``, and the true object that must not collide."""
     true_i: int | None = scenario.scene.truth[i]
     if edit == "move":
         shift_3 = _shift(cfg.move_m, rng)
@@ -196,7 +196,7 @@ def _shift(distance_m: tuple[float, float], rng: np.random.Generator) -> Floats:
 
 
 def _is_free(scenario: Scenario, true_i: int, cfg: EditsConfig) -> bool:
-    """Whether a true object's upright cylinder is clear of the others and the rod, on the table."""
+    """Whether the enclosing cylinder of a true object is on the table and clear of all others."""
     first = scenario.episode.steps[0]
     xy_N2, z_N = first.center_N3[:, :2], first.center_N3[:, 2]
     radius_N, height_N = np.linalg.norm(first.size_N3[:, :2], axis=1) / 2, first.size_N3[:, 2] / 2

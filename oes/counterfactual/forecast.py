@@ -94,7 +94,7 @@ def forecast_motions(
 
 
 def true_motions(scenario: Scenario, simulated: Episode) -> ObjectMotion:
-    """The simulated motion of the perceived objects; unmatched objects stay."""
+    """The simulated motion of the perceived objects; false detections are static."""
     num_steps, count = len(simulated.actions_T3), len(scenario.scene.truth)
     translation_TN3 = np.zeros((num_steps, count, 3))
     rotation_TN33 = np.tile(np.eye(3), (num_steps, count, 1, 1))

@@ -1,4 +1,4 @@
-"""Images and videos of composed futures beside the true ones."""
+"""Images and videos that compare composed futures with the simulated ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -9,7 +9,6 @@ import numpy as np
 
 from oes.config import Shared, params
 from oes.counterfactual import forecast
-from oes.counterfactual.compose import DecomposedScene
 from oes.counterfactual.edits import EDIT_TYPES, EditsConfig
 from oes.counterfactual.evaluate import FutureEvaluator, FutureRow, edit_rows
 from oes.counterfactual.forecast import Counterfactual
@@ -95,24 +94,14 @@ class FuturesRunner:
             evaluator = FutureEvaluator(*views, scenario, scene, input_is[0], cfg.cameras)
             tables = self._evaluate(evaluator, futures[0])
         if episode_i < cfg.num_shown:
-            self._show(futures, scene, input_is, gallery)
+            cameras = episode.steps[0].cameras
+            shown = [zoomed(cameras[i], cfg.zoom) for i in (input_is[0], *cfg.cameras)]
+            renderer = FutureRenderer(self.perceiver, self.catalogue, cfg.sim, scene)
+            write_gallery(renderer, futures, shown, list(self.models), gallery)
+            path = gallery / f"prediction-{episode_i:06d}.png"
+            write_predictions(*views, episode_i, (input_is, cfg.cameras), path)
         rows = [row for future in futures for row in edit_rows(future, cfg.horizons_steps)]
         return {**tables, "edits": rows}
-
-    def _show(
-        self,
-        futures: list[Counterfactual],
-        scene: DecomposedScene,
-        input_is: list[int],
-        gallery: Path,
-    ) -> None:
-        cfg, episode_i = self.cfg, futures[0].scenario.scene.episode_i
-        cameras = self.source.episodes[episode_i].steps[0].cameras
-        shown = [zoomed(cameras[i], cfg.zoom) for i in (input_is[0], *cfg.cameras)]
-        renderer = FutureRenderer(self.perceiver, self.catalogue, cfg.sim, scene)
-        write_gallery(renderer, futures, shown, list(self.models), gallery)
-        path = gallery / f"prediction-{episode_i:06d}.png"
-        write_predictions(self.perceiver, self.source, episode_i, (input_is, cfg.cameras), path)
 
     def _evaluate(
         self, evaluator: FutureEvaluator, future: Counterfactual

@@ -15,10 +15,11 @@ MIN_TARGET = 0.3  # of the heatmap, for a voxel to be trained to predict the box
 
 @params
 class DetectorConfig:
-    """``anchor_m``: unit of offsets and sizes. ``sigma_m``: of the Gaussian heatmap target.
+    """Dense detector and selection of the final boxes.
 
-    ``num_peaks`` proposals of a scene go to the second stage. Final boxes have a score of at least
-    ``min_score`` and overlap by at most ``max_iou``.
+    ``anchor_m``: unit of offsets and sizes. ``sigma_m``: of the Gaussian heatmap target.
+    ``num_peaks``: proposals per scene. Final boxes have a score of at least ``min_score`` and
+    overlap by at most ``max_iou``.
     """
 
     channels: int
@@ -55,7 +56,7 @@ def apply_deltas(
 def box_deltas(
     centers: Tensor, sizes: Tensor | float, to_centers: Tensor, to_sizes: Tensor, unit_m: float
 ) -> Tensor:
-    """Deltas ...6 with which ``apply_deltas`` turns the first boxes into the second."""
+    """Inverse of ``apply_deltas``: deltas ...6 from the first boxes to the second."""
     log_scale = (to_sizes / sizes).clamp(min=1e-3).log()
     return torch.cat([(to_centers - centers) / unit_m, log_scale], dim=-1)
 

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from oes.episode import Camera, Episode, Floats, Frames, Ints
+from oes.episode import Episode, Floats, Ints
 from oes.geom.assignment import assign
 from oes.geom.boxes import iou
 from oes.geom.voxels import Grid, voxelize
@@ -28,8 +28,9 @@ PerceptionRow = dict[str, float | None]
 
 @dataclass(frozen=True)
 class GroundTruthObjects:
-    """Objects of one state (world): boxes, points that fill each, and points of each surface with
-    their normals.
+    """Objects of one state in world coordinates.
+
+    ``solids``: points that fill each object. ``surfaces``: surface points and their normals.
     """
 
     center_N3: Floats
@@ -131,13 +132,6 @@ def detection_summary(rows: Sequence[PerceptionRow]) -> dict[str, float]:
         name: float(np.mean(_column(matched, name))) if matched else value
         for name, value in empty.items()
     }
-
-
-def view_row(
-    perceiver: Perceiver, scene: SceneFeatures, frames: Frames, camera: Camera
-) -> PerceptionRow:
-    """Quality of the view predicted for ``camera``, against the only image of ``frames``."""
-    return {**rgb_quality(perceiver.render(scene, camera), frames.rgb_VHW3[0])}
 
 
 def rgb_quality(predicted_HW3: NDArray[np.uint8], true_HW3: NDArray[np.uint8]) -> dict[str, float]:

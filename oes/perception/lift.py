@@ -22,7 +22,7 @@ MAX_DEPTH_STEP_M = 0.02  # between adjacent pixels of one surface
 
 @params
 class LiftConfig:
-    """``truncation_m``: of the signed distance along z (TSDF); features reach equally far."""
+    """``truncation_m``: range of the signed distance along z (TSDF) and of the features."""
 
     truncation_m: float
 

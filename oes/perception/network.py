@@ -93,7 +93,7 @@ class PerceptionNet(nn.Module):
         self.surface = SurfaceHead(cfg.surface, lifted)
 
     def encode(self, views: Views) -> SceneFeatures:
-        """Features of scenes with one or more views each, equally many, in any order."""
+        """Encoding of scenes with the same number (at least 1) of views each, in any order."""
         batch, shape = len(views.depth_m_BVHW), self.coarse_grid.shape
         features = self.image_encoder(views)
         points = self.points.reshape(1, -1, 3).expand(batch, -1, -1)
@@ -119,7 +119,7 @@ class PerceptionNet(nn.Module):
         return detector.top_peaks(self.cfg.detector, *output, self.voxels, count)
 
     def regions(self, scene: SceneFeatures, boxes: tuple[Tensor, Tensor]) -> RoiOutput:
-        """Second stage at boxes given by centres BN3 and sizes BN3."""
+        """Output of the second stage for boxes with centres BN3 and sizes BN3."""
         coarse = scene.coarse_BCXYZ, self.coarse_grid
         output: RoiOutput = self.roi(scene.views, scene.features_BVHWC, coarse, boxes)
         return output

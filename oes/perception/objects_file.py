@@ -71,7 +71,6 @@ class ObjectStore:
     tensors: dict[str, Tensor]
 
     def __len__(self) -> int:
-        """Number of observations."""
         return len(self.tensors["episode_U"])
 
     def observations(self, setting: str) -> list[int]:

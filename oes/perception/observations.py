@@ -37,7 +37,7 @@ SCORED_VIEWS = (1, 3)
 
 @dataclass(frozen=True)
 class Setting:
-    """Number of random views (or ``FIXED_CAMERA``) and kind of boxes."""
+    """Number of random views (or ``FIXED_CAMERA``) and source of the boxes."""
 
     views: int
     boxes: str
@@ -99,7 +99,7 @@ class ObjectsConfig:
 
 @dataclass(frozen=True)
 class ScenePerceiver:
-    """Perceives the episodes of one split; ``solids`` (test splits only) serve to score masks."""
+    """Perceives the episodes of one split; ``solids``: ground truth of masks (test splits only)."""
 
     cfg: ObjectsConfig
     settings: dict[str, Setting]
@@ -134,13 +134,14 @@ class ScenePerceiver:
                 truth = evaluate.gt_objects(episode, 0, self.solids)
                 rows = evaluate.detection_rows(self.perceiver, scene, truth)
                 detections += [key | row for row in rows]
-                query = all_frames.of(order[-1:]), all_cameras[order[-1]]
-                row = evaluate.view_row(self.perceiver, scene, *query)
-                predictions.append(key | {"camera": order[-1]} | row)
+                query_i = order[-1]
+                image_HW3 = self.perceiver.render(scene, all_cameras[query_i])
+                quality = evaluate.rgb_quality(image_HW3, all_frames.rgb_VHW3[query_i])
+                predictions.append(key | {"camera": query_i} | quality)
         return observations, detections, predictions
 
     def _gt_surface(self, episode_i: int, objects: Objects, gt_N: Ints) -> tuple[Tensor, Tensor]:
-        """``Observation.gt_surface``."""
+        """Ground-truth radii NRD and relative centres of mass N3 (NaN: no object)."""
         radius_NRD = torch.full(objects.radial_profile_NRD3.shape[:-1], torch.nan)
         com_N3 = torch.full_like(objects.center_N3, torch.nan)
         matched, episode = np.flatnonzero(gt_N >= 0), self.source.episodes[episode_i]

@@ -48,12 +48,6 @@ class WorldTransform:
     scale: float
     t: Floats
 
-    def poses(self, cameras: Sequence[Camera]) -> Floats:
-        """world_T_cam V44 of cameras in the transformed world; depths are scaled separately."""
-        world_T_cam = np.stack([camera.world_T_cam_44 for camera in cameras])
-        position = self.scale * world_T_cam[:, :3, 3] @ self.R.T + self.t
-        return rigid(self.R @ world_T_cam[:, :3, :3], position)
-
     def points(self, points_P3: Floats) -> Floats:
         """Transformed points P3."""
         return self.scale * points_P3 @ self.R.T + self.t
@@ -63,7 +57,7 @@ IDENTITY = WorldTransform(np.eye(3), 1.0, np.zeros(3))
 
 
 def random_world_transform(cfg: Sampling, rng: np.random.Generator) -> WorldTransform:
-    """Any yaw, mirrored with probability 1/2; scale and shift uniform within ``cfg``."""
+    """Uniform yaw, scale and shift within ``cfg``; a reflection with probability 1/2."""
     mirror = np.diag([1.0, rng.choice([-1.0, 1.0]), 1.0])
     shift = np.append(rng.uniform(-1, 1, 2) * cfg.shift_m, 0)
     R = rotation_z(rng.uniform(0, 2 * np.pi)) @ mirror
@@ -74,8 +68,8 @@ def random_world_transform(cfg: Sampling, rng: np.random.Generator) -> WorldTran
 class Sampler:
     """Batches of ``batch`` samples from the episodes ``episode_is`` of ``source``.
 
-    The first ``num_untransformed`` samples of a batch keep the recorded world. Objects count where
-    their centre lies in ``grid``.
+    The world of the first ``num_untransformed`` samples of a batch is not transformed. Objects with
+    a centre outside ``grid`` are ignored.
     """
 
     cfg: Sampling
@@ -88,7 +82,7 @@ class Sampler:
     episode_is: Sequence[int]
 
     def batch_at(self, step: int) -> PerceptionBatch:
-        """The batch of a training step: a function of the seed and the step alone."""
+        """The batch of a training step, which depends only on the seed and the step."""
         rng = np.random.default_rng((self.seed, step))
         num_views = int(rng.choice(len(self.cfg.views_share), p=self.cfg.views_share)) + 1
         # All transforms are drawn before the samples: part of the order of random numbers.
@@ -147,8 +141,11 @@ class Sampler:
 def transform_views(frames: Frames, cameras: Sequence[Camera], world: WorldTransform) -> Views:
     """One scene's images and cameras in a transformed world, as a batch of one."""
     scaled = replace(frames, depth_m_VHW=frames.depth_m_VHW * np.float32(world.scale))
-    poses = torch.from_numpy(world.poses(cameras)).float()[None]
-    return replace(views_of(scaled, cameras), world_T_cam_BV44=poses)
+    old_V44 = np.stack([camera.world_T_cam_44 for camera in cameras])
+    # The scale is in the positions and depths, so that poses remain rigid.
+    new_V44 = rigid(world.R @ old_V44[:, :3, :3], world.points(old_V44[:, :3, 3]))
+    poses_BV44 = torch.from_numpy(new_V44).float()[None]
+    return replace(views_of(scaled, cameras), world_T_cam_BV44=poses_BV44)
 
 
 def collate(samples: Sequence[PerceptionBatch]) -> PerceptionBatch:

@@ -43,7 +43,7 @@ class Solids:
 
 
 def solids_of(catalogue: Catalogue, count: int) -> Solids:
-    """``count`` points for every mesh of a catalogue; the same catalogue gives the same points."""
+    """``count`` points for every mesh of a catalogue, with a fixed seed."""
     meshes = catalogue.meshes.values()
     return Solids(
         {mesh.id: solid_points(mesh.visual, mesh.parts, count) for mesh in meshes},

@@ -47,7 +47,7 @@ class Cylinder:
 
     @property
     def max_radius_m(self) -> float:
-        """The radius of the grid."""
+        """Radius of the grid."""
         return self.num_radii * self.radial_step_m
 
 
@@ -116,7 +116,7 @@ class CircularResBlock(nn.Module):
 
 
 class SurfaceHead(nn.Module):
-    """Features lifted to the cylindrical grids of P objects -> ``SurfaceOutput``."""
+    """Maps features on the cylindrical grids of P objects to ``SurfaceOutput``."""
 
     points: Tensor
 
@@ -145,7 +145,7 @@ class SurfaceHead(nn.Module):
         nn.init.zeros_(self.skip_head.weight)
 
     def forward(self, inputs_PCDX: Tensor) -> SurfaceOutput:
-        """``inputs_PCDX``: see ``inputs``."""
+        """Prediction from ``inputs``."""
         x = F.relu(self.stem(inputs_PCDX))
         for block, down in zip(self.blocks, self.downs, strict=True):
             x = F.relu(down(block(x)))

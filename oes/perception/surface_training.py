@@ -32,8 +32,9 @@ TERMS = ("radius", "presence", "com_offset")
 
 @params
 class SurfaceTraining:
-    """``center_jitter_m``, ``size_jitter``: standard deviations of the noise on the ground-truth
-    boxes. ``scale``: range of the random scale of the world.
+    """Training of the surface head on ``num_objects`` objects at noisy ground-truth boxes.
+
+    Jitters are standard deviations. ``scale``: range of the random scale of the world.
     """
 
     num_objects: int
@@ -55,7 +56,6 @@ class SurfaceBatch:
     com_offset_P3: Tensor
 
     def __len__(self) -> int:
-        """Number of objects."""
         return len(self.com_offset_P3)
 
 
@@ -85,7 +85,7 @@ class SurfaceSampler:
     cfg: SurfaceTraining
 
     def gather(self, num: int, episode_is: Sequence[int]) -> SurfaceBatch:
-        """At least ``num`` objects of some episodes."""
+        """At least ``num`` objects of random episodes among ``episode_is``."""
         rng = np.random.default_rng(self.cfg.fit.seed)
         parts: list[SurfaceBatch] = []
         with progress_bar(total=num, desc="perceiving for the surface head", unit="object") as bar:

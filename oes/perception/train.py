@@ -98,7 +98,7 @@ def validation_metrics(
     assert isinstance(net, PerceptionNet)
     perceiver = Perceiver(net, device)
     detections: list[evaluate.PerceptionRow] = []
-    views: list[evaluate.PerceptionRow] = []
+    views: list[dict[str, float]] = []
     for episode_i in episode_is:
         # Seeded by the episode: the same cameras at every checkpoint, and no effect on training.
         rng = np.random.default_rng(episode_i)
@@ -109,7 +109,8 @@ def validation_metrics(
         rows = evaluate.detection_rows(perceiver, scene, truth)
         detections += [row | {"episode": episode_i} for row in rows]
         frames, (camera,) = source.read(episode_i, 0, camera_is[1:])
-        views.append(evaluate.view_row(perceiver, scene, frames, camera))
-    means = {name: float(np.mean([row[name] or 0.0 for row in views])) for name in views[0]}
+        image_HW3 = perceiver.render(scene, camera)
+        views.append(evaluate.rgb_quality(image_HW3, frames.rgb_VHW3[0]))
+    means = {name: float(np.mean([row[name] for row in views])) for name in views[0]}
     metrics = evaluate.detection_summary(detections) | means
     return {f"val_{name}": value for name, value in metrics.items()}

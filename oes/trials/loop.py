@@ -35,9 +35,9 @@ class StepRecord:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """Distances G (metres) to the goals: initial and final true ones, and the final estimated ones.
+    """True initial, true final and estimated final distances G to the goals (metres).
 
-    ``failure`` is the reason of an early end, empty without one.
+    ``failure``: reason of an early end, or "".
     """
 
     initial_G: Floats
@@ -57,11 +57,10 @@ def run_trial(
     planner_cfg: PlannerConfig,
     rngs: tuple[np.random.Generator, np.random.Generator],
 ) -> TrialResult:
-    """Perceive, plan and push until the goals seem reached or ``max_steps`` pushes are made.
+    """Perceive, plan and push, up to ``max_steps`` times or until all estimates are at the goals.
 
-    ``rngs`` sample cameras and plans. A step without a plan that improves the cost uses up a push.
-    A fallen object, a collision with an obstacle, or the lack of a feasible or reachable push ends
-    the trial with a ``failure``.
+    ``rngs`` sample cameras and plans. A step without a plan that lowers the cost counts as a push.
+    The trial fails if an object falls or touches an obstacle, or if no push is feasible.
     """
     camera_rng, plan_rng = rngs
     env.reset(task.bodies, task.world_T_obj_N44, task.tip_xy_m)

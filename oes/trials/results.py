@@ -14,7 +14,7 @@ Videos = dict[tuple[str, int], str]  # (planner, trial) -> file name
 
 @dataclass(frozen=True)
 class Trial:
-    """A finished trial; ``failure``: reason of an early end or of a missing task or result."""
+    """A finished trial; ``failure``: reason of an early end, a missing task or a missing result."""
 
     planner: str
     trial_i: int

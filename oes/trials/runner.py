@@ -48,9 +48,7 @@ class ScenarioError(ValueError):
 
 @params
 class TrialsConfig:
-    """The section ``trials``; ``num_trials`` and ``num_videos`` (each of successes and failures)
-    are per planner.
-    """
+    """The section ``trials``; ``num_trials`` and ``num_videos`` are per planner."""
 
     seed: int
     num_trials: int

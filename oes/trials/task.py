@@ -18,9 +18,11 @@ from oes.sim.world import SimConfig
 
 @params
 class ObstaclesConfig:
-    """The first obstacle stands at a fraction (range) of the straight path, up to ``lateral_m``
-    beside it; the others stand anywhere. All keep ``gap_m`` from each other, from the object and
-    from its goal, and leave a path with that clearance at any orientation of the object.
+    """Obstacles on the table, the first of which blocks the straight path to the goal.
+
+    It stands at ``path_fraction`` (range) of the path, offset by up to ``lateral_m``. All obstacles
+    keep ``gap_m`` from each other, the object and its goal, and leave a path with that clearance at
+    any orientation of the object.
     """
 
     count: int
@@ -57,8 +59,9 @@ class TrialScenario:
 
 @dataclass(frozen=True)
 class Task:
-    """Initial bodies, poses and box centres, the rod's initial position, and goals of box centres
-    (world, metres) for the first G objects. The other objects are obstacles.
+    """Initial state of a trial, and goals of the first G box centres (world, metres).
+
+    The other objects are obstacles. ``tip_xy_m``: initial position of the rod.
     """
 
     bodies: tuple[Body, ...]
@@ -132,7 +135,7 @@ def _goals(
 def _free_tip(
     center_N3: Floats, size_N3: Floats, sim: SimConfig, rng: np.random.Generator
 ) -> Floats:
-    """A position of the rod a diameter off every object's box. Raises SceneRejected."""
+    """A position of the rod, one diameter off every object's box. Raises SceneRejected."""
     tip_xy = rng.uniform(-sim.robot.workspace_m, sim.robot.workspace_m, size=2)
     outside = np.abs(tip_xy - center_N3[:, :2]) > size_N3[:, :2] / 2 + 2 * sim.robot.rod_radius_m
     if not outside.any(axis=1).all():

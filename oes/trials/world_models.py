@@ -28,7 +28,7 @@ from oes.objects import Objects, map_tensors
 
 @dataclass(frozen=True)
 class StateEstimate:
-    """Perceived objects, their boxes, which were detected last, and the overhead image if any."""
+    """Perceived objects and boxes, which were detected in the last image, and an overhead image."""
 
     objects: Objects
     center_N3: Floats
@@ -146,9 +146,7 @@ def _no_rotation(position_STN3: Tensor) -> Tensor:
 def _image_inputs(
     view: OverheadView, estimate: StateEstimate, candidates: Candidates
 ) -> tuple[OverheadCamera, Tensor, tuple[Tensor, Tensor]]:
-    """The camera, its image 3HW (0 to 1), and in its coordinates the rod's start S2 and actions
-    ST2.
-    """
+    """The camera, its image 3HW (0 to 1), and start S2 and actions ST2 of the rod in the image."""
     assert estimate.overhead_HW3 is not None, "the observation has no overhead image"
     camera = OverheadCamera(view)
     tip_SI2 = torch.from_numpy(camera.project(_tip_path(candidates).double().numpy())).float()
