@@ -1,6 +1,6 @@
 """Augmentation by symmetries of a table top: rotation, mirroring, choice of reference points.
 
-Each maps everything that a model sees and everything that it must forecast.
+Each symmetry maps the inputs of a model and its targets alike.
 """
 
 from dataclasses import dataclass, replace

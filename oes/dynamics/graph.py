@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from oes.config import params
 
-NOWHERE_M = 1e3  # coordinates of what does not exist: far from everything
+NOWHERE_M = 1e3  # coordinate of an absent tip or surface: far from every object
 
 
 @params

@@ -76,7 +76,7 @@ def resolve_model(name: str, cfg: TaskConfig) -> ModelSpec:
 def build_model(
     spec: ModelSpec, scenes: Scenes, episodes: Mapping[int, Episode], work: Path
 ) -> tuple[nn.Module, LogRows]:
-    """A model and its log: trained, measured (the simulator) or as it is (static).
+    """A model and its log: trained, measured (the simulator) or unchanged (static).
 
     ``episodes`` by index; observations of other episodes are ignored. Progress is kept in ``work``.
     """

@@ -52,7 +52,7 @@ class InputSpec:
 
 
 class GraphModel(DynamicsModel):
-    """A graph network whose nodes encode what an object looks like.
+    """A graph network whose node features encode the objects' appearance.
 
     In eval mode a forecast is the mean of the forecast of the scene and of the mirrored-back
     forecast of its mirror image, which makes it equivariant to mirroring. Training uses mirror

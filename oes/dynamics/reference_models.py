@@ -12,7 +12,7 @@ from oes.objects import Objects
 
 
 class Static(DynamicsModel):
-    """Lower reference: nothing ever moves."""
+    """Lower reference: all objects stay at rest."""
 
     def appearance(self, objects: Objects) -> Tensor:
         """A tensor BN0."""

@@ -26,7 +26,7 @@ NUM_SCALARS = 7
 
 @params
 class ShapeUncertainty:
-    """Number of sampled futures, and standard deviations of what differs between them.
+    """Number of sampled futures, and standard deviations of their perturbations.
 
     ``radius_sigma``: of the radii, in units of their predicted scale, as a Fourier series of
     ``harmonics``; ``com_sigma_m``: of the centre of mass; the rest: of the logarithms.

@@ -148,12 +148,8 @@ class ModelForecaster:
         actions_BT3 = np.stack([episode.actions_T3 for episode in recorded])
         inputs = (torch.from_numpy(x).float() for x in (tip_B3, actions_BT3))
         rollout = unroll(self.model, objects, *inputs)
-        translation_BTN3 = rollout.translation_BTN3.double().numpy()
-        rotation_BTN33 = rollout.rotation_BTN33.double().numpy()
-        forecasts = [
-            to_gt_objects(*args)
-            for args in zip(scenes, recorded, translation_BTN3, rotation_BTN33, strict=True)
-        ]
+        motion = (x.double().numpy() for x in (rollout.translation_BTN3, rollout.rotation_BTN33))
+        forecasts = [to_gt_objects(*args) for args in zip(scenes, recorded, *motion, strict=True)]
         if rollout.sigma_BTN is None:
             return forecasts
         for b, scene in enumerate(scenes):

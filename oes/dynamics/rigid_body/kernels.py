@@ -51,6 +51,21 @@ class State(NamedTuple):
     is_awake_BN: Bools
 
 
+class StepSettings(NamedTuple):
+    """``ContactPhysics`` for the kernels; ``dt`` (seconds) is one substep.
+
+    ``rod_radius_m`` includes the contact margin ``margin_m``.
+    """
+
+    dt: float
+    substeps: int
+    iterations: int
+    spinning_m: float
+    rod_radius_m: float
+    tip_height_m: float
+    margin_m: float
+
+
 @jit
 def dot(a_3: Vector, b_3: Vector) -> float:
     """Scalar product, summed from the first component on."""

@@ -11,8 +11,8 @@ from oes.dynamics.rigid_body.bodies import ContactPhysics, PlanarState, RigidBod
 from oes.dynamics.rigid_body.constraints import empty_rows
 from oes.dynamics.rigid_body.contact_detection import detect_table
 from oes.dynamics.rigid_body.contact_manifold import empty_manifold, update_manifold
-from oes.dynamics.rigid_body.kernels import Bodies, State
-from oes.dynamics.rigid_body.substeps import StepSettings, advance_substeps
+from oes.dynamics.rigid_body.kernels import Bodies, State, StepSettings
+from oes.dynamics.rigid_body.substeps import advance_substeps
 from oes.episode import Floats
 from oes.geom.polar import profile_normals, profile_points
 from oes.objects import map_tensors
@@ -128,20 +128,14 @@ def compile_bodies(bodies: RigidBodies, cfg: ContactPhysics) -> Bodies:
     support_z_BN11 = -bodies.com_height_BN[..., None, None]
     support_z_BNP1 = support_z_BN11.expand(*bodies.support_BNP2.shape[:-1], 1)
     has_rod_BN = bodies.valid_BN & (bodies.rod_profile_BND > 0).any(-1)
+    shared = {name: _array(x) for name, x in vars(bodies).items() if name in Bodies._fields}
     return Bodies(
-        rod_profile_BND=_array(bodies.rod_profile_BND),
+        **shared,
         rod_vertex_BND2=_array(rod_vertex_BND2),
-        rod_min_z_BND=_array(bodies.rod_min_z_BND),
-        rod_max_z_BND=_array(bodies.rod_max_z_BND),
-        profile_BND=_array(bodies.profile_BND),
         vertex_BND2=_array(vertex_BND2),
         normal_BND2=_array(profile_normals(bodies.profile_BND)),
-        com_offset_BN2=_array(bodies.com_offset_BN2),
-        com_height_BN=_array(bodies.com_height_BN),
         radius_BN=_array(radius_BND.amax(-1)),
-        height_BN=_array(bodies.height_BN),
         support_BNP3=_array(torch.cat([bodies.support_BNP2, support_z_BNP1], -1)),
-        inverse_inertia_BN33=_array(bodies.inverse_inertia_BN33),
         mass_BN=_array(bodies.mass_factor_BN),
         pair_friction_BN=_array(bodies.friction_factor_BN) * cfg.object_friction,
         is_valid_BN=bodies.valid_BN.cpu().numpy().copy(),

@@ -16,7 +16,7 @@ from oes.dynamics.rigid_body.constraints import (
     world_inverse_inertia,
 )
 from oes.dynamics.rigid_body.contact_manifold import Manifold
-from oes.dynamics.rigid_body.kernels import Bodies, State
+from oes.dynamics.rigid_body.kernels import Bodies, State, StepSettings
 from oes.episode import Bools, Floats
 from oes.jit import jit
 
@@ -31,15 +31,13 @@ def solve_contacts(
     pair_BNN9: Floats,
     is_active_BN: Bools,
     rows: ContactRows,
-    settings: tuple[float, float, int],
+    cfg: StepSettings,
 ) -> None:
     """Change the twists of active bodies to satisfy non-penetration and the friction cone.
 
-    ``manifolds``: with table and rod; ``rows``: work space; ``settings``: spinning friction
-    (metres), substep (seconds) and number of iterations.
+    ``manifolds``: with table and rod; ``rows``: work space.
     """
-    (table, rod), (spinning_m, dt, iterations) = manifolds, settings
-    num = state.com_BN3.shape[1]
+    (table, rod), num = manifolds, state.com_BN3.shape[1]
     inverse_N33, impulse_P4 = np.empty((num, 3, 3)), np.empty((len(rows.body_P2), 4))
     for b in range(len(state.com_BN3)):
         count, twist_N6 = 0, state.twist_BN6[b]
@@ -55,14 +53,14 @@ def solve_contacts(
             prepare_rows(rows, p, inverse_N33, bodies.mass_BN[b])
         # No warm starting: impulses accumulate from zero in every substep.
         impulse_P4[:count] = 0
-        for _ in range(iterations):
+        for _ in range(cfg.iterations):
             # All normals before all frictions, as friction is bounded by the normal impulses.
             for p in range(count):
-                _solve_normal(rows, p, dt, impulse_P4, twist_N6)
+                _solve_normal(rows, p, cfg.dt, impulse_P4, twist_N6)
             for p in range(count):
                 _solve_friction(rows, p, impulse_P4, twist_N6)
                 if rows.body_P2[p, 1] == KINEMATIC:
-                    _solve_spinning(rows, p, spinning_m, impulse_P4, twist_N6)
+                    _solve_spinning(rows, p, cfg.spinning_m, impulse_P4, twist_N6)
 
 
 @jit

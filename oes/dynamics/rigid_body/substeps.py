@@ -1,35 +1,19 @@
 """Integration of one action in substeps: detection, solver, semi-implicit Euler, sleeping."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from oes.dynamics.rigid_body.constraints import ContactRows
 from oes.dynamics.rigid_body.contact_detection import detect_pairs, detect_rod, detect_table
 from oes.dynamics.rigid_body.contact_manifold import Manifold, update_manifold
-from oes.dynamics.rigid_body.kernels import Bodies, State, dot
+from oes.dynamics.rigid_body.kernels import Bodies, State, StepSettings, dot
 from oes.dynamics.rigid_body.solver import solve_contacts
 from oes.episode import Bools, Floats
 from oes.jit import jit
 
 GRAVITY = 9.81
 WAKE_M = 0.002  # a gap below this wakes a sleeping body
-
-
-class StepSettings(NamedTuple):
-    """``ContactPhysics`` for the kernels; ``dt`` (seconds) is one substep.
-
-    ``rod_radius_m`` includes the contact margin ``margin_m``.
-    """
-
-    dt: float
-    substeps: int
-    iterations: int
-    spinning_m: float
-    rod_radius_m: float
-    tip_height_m: float
-    margin_m: float
 
 
 @jit
@@ -46,7 +30,6 @@ def advance_substeps(
     ``rows``: work space; ``forward_B2``: direction of the rod.
     """
     table, rod = manifolds
-    settings = cfg.spinning_m, cfg.dt, cfg.iterations
     for step in range(cfg.substeps):
         contact_BN7 = detect_rod(bodies, state, rod.origin_B3, cfg.rod_radius_m, cfg.tip_height_m)
         update_manifold(rod, contact_BN7, state)
@@ -57,7 +40,7 @@ def advance_substeps(
         contact_BN7 = detect_table(bodies, state, forward_B2, is_active_BN)
         update_manifold(table, contact_BN7, state)
         state.twist_BN6[..., 2] -= GRAVITY * cfg.dt
-        solve_contacts(bodies, state, manifolds, pair_BNN9, is_active_BN, rows, settings)
+        solve_contacts(bodies, state, manifolds, pair_BNN9, is_active_BN, rows, cfg)
         _integrate(state, rod, cfg.dt)
     return _planar_pose(state)
 
