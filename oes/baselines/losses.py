@@ -49,9 +49,8 @@ def foresight_loss(changed_pixel_weight: float) -> ClipsLoss:
         total = predicted.new_zeros(())
         for scale in range(NUM_SCALES):
             if scale:
-                predicted, target, weight = (
-                    F.avg_pool2d(x, 2) for x in (predicted, target, weight)
-                )
+                images = (F.avg_pool2d(x, 2) for x in (predicted, target, weight))
+                predicted, target, weight = images
             total = total + ((predicted - target).abs() * weight).mean()
         return {"image": total}
 

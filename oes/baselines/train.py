@@ -63,7 +63,8 @@ def train_baseline(
     """
     _check_name(name)
     model_cfg = cfg.visual_foresight if name == "visual_foresight" else cfg.planet
-    torch.manual_seed(model_cfg.fit.seed)
+    fit_cfg = model_cfg.fit
+    torch.manual_seed(fit_cfg.seed)
     if isinstance(model_cfg, ForesightTraining):
         model: BaselineModel = VisualForesight(model_cfg.net)
         loss, weights = foresight_loss(model_cfg.changed_pixel_weight), {"image": 1.0}
@@ -72,14 +73,12 @@ def train_baseline(
         loss, weights = planet_loss(model_cfg.loss, background(clips).to(device)), model_cfg.weights
 
     def batch_at(step: int) -> Clips:
-        return sample_clips(
-            clips, model_cfg.fit.batch, np.random.default_rng([model_cfg.fit.seed, step])
-        )
+        return sample_clips(clips, fit_cfg.batch, np.random.default_rng([fit_cfg.seed, step]))
 
     def device_loss(net: torch.nn.Module, batch: Clips) -> dict[str, Tensor]:
         return loss(net, batch.to(device))
 
-    return model, fit(model, batch_at, device_loss, weights, model_cfg.fit, work, device)
+    return model, fit(model, batch_at, device_loss, weights, fit_cfg, work, device)
 
 
 def background(clips: Clips) -> Tensor:

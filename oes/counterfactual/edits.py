@@ -128,12 +128,8 @@ def _selected(
     ``truth`` are the new matches of the perceived objects.
     """
     first, *later = scenario.episode.steps
-    first = replace(
-        first,
-        world_T_obj_N44=first.world_T_obj_N44[true],
-        center_N3=first.center_N3[true],
-        size_N3=first.size_N3[true],
-    )
+    fields = ("world_T_obj_N44", "center_N3", "size_N3")
+    first = replace(first, **{name: getattr(first, name)[true] for name in fields})
     bodies = tuple(scenario.episode.bodies[n] for n in true)
     episode = replace(scenario.episode, bodies=bodies, steps=(first, *later))
     objects = map_tensors(scenario.scene.objects, lambda x: x[perceived])

@@ -63,7 +63,7 @@ class Perceiver:
 
         Raises ValueError without a view.
         """
-        return self.encode_views(views_of(frames, list(cameras)))
+        return self.encode_views(views_of(frames, cameras))
 
     @torch.inference_mode()
     def encode_views(self, views: Views) -> SceneFeatures:

@@ -92,13 +92,12 @@ class Planner:
         scene = PlanningScene(shapes[:num_goals], shapes[num_goals:], self.rod, self.half_m)
         cost = GoalCost(scene, goal_G3, self.cfg.avoid)
         sampler, headings_G = PushSampler(scene, self.cfg.push, rng), cost.headings()
-        is_risky = self.world_model.is_stochastic and cfg.num_samples > 1
-        risk = RiskConfig(cfg.num_reranked, cfg.num_samples, self.cfg.risk_weight)
+        risk = None
+        if self.world_model.is_stochastic and cfg.num_samples > 1:
+            risk = RiskConfig(cfg.num_reranked, cfg.num_samples, self.cfg.risk_weight)
         propose = partial(sampler, cfg, headings_G)
         unroll = partial(self.world_model.predict, estimate, goal_G3)
-        plan = search(
-            propose, unroll, cost, cfg.iterations, cfg.num_elites, risk if is_risky else None
-        )
+        plan = search(propose, unroll, cost, cfg.iterations, cfg.num_elites, risk)
         # Costs of image-based models are not comparable to the initial cost.
         is_image_based = self.world_model.view is not None
         return plan if is_image_based or plan.cost < cost.initial() else None

@@ -6,6 +6,7 @@ Tasks, cameras and plan samples are seeded by the trial, so they are the same fo
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 
 import joblib
@@ -80,11 +81,8 @@ def run_trials(
         valid = ", ".join(cfg.scenarios)
         raise ScenarioError(f"unknown scenario '{scenario}'; trials.scenarios has: {valid}")
     progress.mkdir(exist_ok=True)
-    paths = {
-        progress / f"{planner}-{trial_i:06d}.joblib": (planner, trial_i)
-        for planner in cfg.scenarios[scenario].planners
-        for trial_i in range(cfg.num_trials)
-    }
+    trials = product(cfg.scenarios[scenario].planners, range(cfg.num_trials))
+    paths = {progress / f"{planner}-{i:06d}.joblib": (planner, i) for planner, i in trials}
 
     def make(trial: tuple[str, int], path: Path) -> None:
         joblib.dump(run_one(cfg, scenario, inputs, *trial), path)
