@@ -17,7 +17,7 @@ Perceived = tuple[Objects, Sequence[int], int]
 
 @dataclass(frozen=True)
 class Examples:
-    """U observations (an episode under one setting each) and their futures as one batch, in memory.
+    """U observations (one episode perceived under one setting) and their futures, as one batch.
 
     ``episode_U``: index of the observation's episode in its split.
     """

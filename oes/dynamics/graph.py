@@ -81,8 +81,8 @@ class StepMotion:
 class GraphFeatures:
     """Encoded shapes at one step, in the action's axes; widths may be 0.
 
-    Of each object, of the edge from the tip to each object, and of the edge to each receiver
-    (first N) from each sender.
+    ``node_BNC``: features of each object; ``agent_BNC``: of the edge from the tip to each object;
+    ``edge_BNNC``: of the edge to each receiver (first N) from each sender.
     """
 
     node_BNC: Tensor
@@ -102,7 +102,7 @@ class GraphNet(nn.Module):
     EDGE_GEOMETRY = 3  # the sender's position from the receiver
 
     def __init__(self, cfg: GraphConfig, node_width: int, edge_width: int = 0) -> None:
-        """Widths of ``GraphFeatures.node_BNC``, and of its two kinds of edges."""
+        """``node_width``, ``edge_width``: of ``GraphFeatures``; both kinds of edges are alike."""
         super().__init__()
         self.unit_m, self.angular_velocity = cfg.unit_m, cfg.angular_velocity
         node = node_width + self.NODE_GEOMETRY + 3 * cfg.angular_velocity

@@ -70,8 +70,8 @@ class ObjectShapes:
     def sample(self, cfg: ShapeUncertainty, generator: torch.Generator) -> "ObjectShapes":
         """``cfg.num_samples`` samples one after the other; the first is the unchanged input.
 
-        All objects of a sample deviate alike (in world axes): the number and the order of the
-        objects change nothing. ``generator`` is on the CPU.
+        All objects of a sample share one perturbation (in world axes), so that forecasts depend on
+        neither the number nor the order of objects. ``generator`` is on the CPU.
         """
         samples, batch = cfg.num_samples, len(self.com_BN3)
         noise_MD = _fourier_noise(samples, self.radius_BNRD.shape[-1], cfg.harmonics, generator)

@@ -35,7 +35,7 @@ class Variant:
 
 @params
 class TaskConfig:
-    """Models of one task.
+    """Training settings of the models of one task.
 
     ``observations``: settings of the objects file to train on, for ``random`` cameras and for the
     ``fixed`` one. ``weights``, ``smoothing``: of the loss terms. ``unroll``: back-propagate through

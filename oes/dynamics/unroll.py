@@ -73,7 +73,7 @@ def advance_state(state: ObjectState, motion: StepMotion) -> ObjectState:
 
 
 def unroll(model: DynamicsModel, objects: Objects, tip_B3: Tensor, actions_BT3: Tensor) -> Rollout:
-    """Forecast of batched ``objects``; the tip starts at ``tip_B3`` and follows its commands."""
+    """Forecast of batched ``objects``; the tip starts at ``tip_B3`` and moves by each action."""
     state = initial_state(objects.center_N3, objects.valid_N)
     if not state.valid_BN.shape[1]:  # convolutions refuse empty inputs
         empty = (*actions_BT3.shape[:2], 0, 3)

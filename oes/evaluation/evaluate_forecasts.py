@@ -78,9 +78,9 @@ def error_rows(
     """
     task, model, split = names
     for setting in scored_settings(cfg, model)[split]:
+        keys = (task, model, setting, split)
         scenes = perceived_scenes(store, setting, episodes)
         for scene, forecast in zip(scenes, forecaster(scenes, episodes), strict=True):
-            keys = (task, model, setting, split)
             yield from _scene_rows(keys, scene, forecast, episodes[scene.episode_i], geometry, cfg)
 
 

@@ -1,8 +1,8 @@
 """Encoder of pushed objects: crops averaged into horizontal slabs, resampled in the action's axes.
 
-Where the tip passes an object's side decides how it moves and rotates; features pooled over the
-whole crop lose that. The first frame's crop therefore moves with the object, and every step samples
-it anew from above in three windows: around the object, around the tip's path, and midway between
+An object's motion depends on where the tip passes its side; features pooled over the whole crop
+lose this position. The first frame's crop therefore moves with the object, and every step resamples
+it from above in three windows: around the object, around the tip's path, and midway between
 two objects. Only rotations about the vertical are followed.
 """
 

@@ -11,7 +11,7 @@ from oes.dynamics import graph
 from oes.dynamics.graph import NOWHERE_M, GraphFeatures, ObjectState, TipMotion
 from oes.dynamics.rigid_body.bodies import ContactPhysics
 from oes.dynamics.shapes import ObjectShapes, ShapeUncertainty
-from oes.geom.polar import directions, profile_normals, radius_at
+from oes.geom.polar import profile_normals, profile_points, radius_at
 from oes.objects import LAYERS
 
 NODE_CHANNELS = 9  # offset, normal, sigma and presence of a point, and its height above the table
@@ -105,7 +105,7 @@ class SurfaceEncoder(nn.Module):
         """Points and normals BNP3 from the reference points, scaled sigmas BNP, presences BNP."""
         rows, stride = list(self.cfg.rows), self.cfg.direction_stride
         radius_BNRD = shapes.radius_BNRD[:, :, rows]
-        xy_BNRD2 = radius_BNRD[..., None] * directions(radius_BNRD.shape[-1])
+        xy_BNRD2 = profile_points(radius_BNRD)
         # UNION and UPPER span all heights; their points get that of the lowest layer's middle.
         layer_R = torch.tensor([max(row - LAYERS, 0) + 0.5 for row in rows])
         z_BNR = (layer_R * self.cfg.layer_height_m) + self._bottom(shapes)[..., None]
