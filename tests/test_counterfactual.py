@@ -96,12 +96,12 @@ def test_rotation_is_about_the_centre_and_scale_enlarges() -> None:
         turned[1, 7:9, 14:18, 2], volume[1, 6:10, 15:17, 2].T, atol=1e-3, rtol=0
     )
     assert (turned[0] > 0).sum() == (volume[0] > 0).sum()
-    twice = replace(
+    enlarged = replace(
         initial_poses(1),
         scale_N=torch.tensor([2.0]),
         translation_N3=torch.tensor([[0.0, 0.0, 0.01]]),
     )
-    assert (compose(scene, twice).volume_BCXYZ[0, 0] > 0).sum() > 4 * (volume[0] > 0).sum()
+    assert (compose(scene, enlarged).volume_BCXYZ[0, 0] > 0).sum() > 4 * (volume[0] > 0).sum()
 
 
 def test_overlapping_objects_share_voxels() -> None:

@@ -1,5 +1,7 @@
 """The lift: signed distances, free space and features at points around rendered boxes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,6 +9,7 @@ import torch
 from oes.episode import Frames
 from oes.geom.se3 import transform
 from oes.geom.voxels import centers
+from oes.objects import map_tensors
 from oes.perception.lift import LiftConfig, Views, lift, views_of
 from oes.perception.samples import IDENTITY, Sampler, random_world_transform
 from tests.perception_scenes import GRID, BoxWorld, box_solids, sampling
@@ -67,35 +70,29 @@ def test_interpolated_depth_keeps_edges_sharp() -> None:
     depth = torch.full_like(views.depth_m_BVHW, 0.8)
     middle = depth.shape[-1] // 2
     depth[..., middle:] = 1.0
-    edge = Views(views.rgb_BVHW3, depth, views.K_BV33, views.world_T_cam_BV44)
+    edge = replace(views, depth_m_BVHW=depth)
     rays = torch.tensor([[middle + du, 20.2, 1.0] for du in (-1.1, -0.1, 0.1, 1.1)])
     points_cam = rays @ torch.linalg.inv(views.K_BV33[0, 0]).mT * 0.9
     points_world = transform(views.world_T_cam_BV44[:, 0], points_cam[None])
     result = lift(CFG, edge, views.rgb_BVHW3, points_world, interpolate_depth=True)[0]
-    assert result[:, 3].tolist() == [
-        1,
-        1,
-        0,
-        0,
-    ]  # occluded by the near side, free in front of the far side
+    # Occluded by the near side, free in front of the far side.
+    assert result[:, 3].tolist() == [1, 1, 0, 0]
     assert result[:, 2].tolist() == [0, 0, 1, 1]
 
 
-def test_the_order_of_views_does_not_matter_and_scenes_do_not_mix() -> None:
+def test_the_order_of_views_does_not_matter_and_scenes_are_independent() -> None:
     world = BoxWorld(2)
     points = centers(GRID)[::3, ::3, ::3].reshape(1, -1, 3)
     one, other = views_of(*world.read(0, 0, [0, 3, 5])), views_of(*world.read(0, 0, [5, 0, 3]))
     torch.testing.assert_close(lifted(one, points), lifted(other, points), atol=1e-5, rtol=0)
     second = views_of(*world.read(1, 0, [1, 2, 4]))
-    both = Views(
-        **{name: torch.cat([getattr(one, name), getattr(second, name)]) for name in vars(one)}
-    )
-    together = lifted(both, points.expand(2, -1, -1))
-    torch.testing.assert_close(together[0], lifted(one, points)[0], atol=1e-5, rtol=0)
-    torch.testing.assert_close(together[1], lifted(second, points)[0], atol=1e-5, rtol=0)
+    both = map_tensors(one, lambda *x: torch.cat(x), second)
+    batched = lifted(both, points.expand(2, -1, -1))
+    torch.testing.assert_close(batched[0], lifted(one, points)[0], atol=1e-5, rtol=0)
+    torch.testing.assert_close(batched[1], lifted(second, points)[0], atol=1e-5, rtol=0)
 
 
-def test_a_moved_world_is_seen_as_the_same_world() -> None:
+def test_the_lift_is_equivariant_to_world_transforms() -> None:
     world, rng = BoxWorld(1), np.random.default_rng(3)
     sampler = Sampler(sampling(), 1, 0, 0, GRID, world, box_solids(), [0])
     motion = random_world_transform(sampler.cfg, rng)
@@ -104,12 +101,8 @@ def test_a_moved_world_is_seen_as_the_same_world() -> None:
     transformed = sampler.sample(0, 0, [0, 2], motion, rng).views
     scaled = LiftConfig(truncation_m=CFG.truncation_m * motion.scale)
     before = lift(CFG, original, original.rgb_BVHW3, torch.tensor(points).float()[None])
-    after = lift(
-        scaled,
-        transformed,
-        transformed.rgb_BVHW3,
-        torch.tensor(motion.points(points)).float()[None],
-    )
+    moved = torch.tensor(motion.points(points)).float()[None]
+    after = lift(scaled, transformed, transformed.rgb_BVHW3, moved)
     assert ((before - after).abs().amax(-1) < 1e-3).float().mean() > 0.98
 
 

@@ -9,11 +9,12 @@ from safetensors.torch import load_file, save_file
 
 from oes.config import to_json
 from oes.episode import Frames
+from oes.objects import map_tensors
 from oes.perception.evaluate import detection_rows, detection_summary, gt_objects
-from oes.perception.lift import Views, views_of
+from oes.perception.lift import views_of
 from oes.perception.losses import LOSS_TERMS, losses
 from oes.perception.network import PerceptionNet
-from oes.perception.perceiver import Perceiver, PerceptionFileError
+from oes.perception.perceiver import PERCEPTION_FORMAT, Perceiver, PerceptionFileError
 from oes.perception.samples import Sampler
 from tests.perception_scenes import GRID, BoxWorld, box_solids, sampling, small_network
 
@@ -28,9 +29,7 @@ def make_perceiver() -> Perceiver:
 def test_scenes_of_a_batch_are_independent() -> None:
     world, net = BoxWorld(2), make_perceiver().net
     scenes = [views_of(*world.read(i, 0, [1, 4])) for i in range(2)]
-    both = Views(
-        **{name: torch.cat([getattr(views, name) for views in scenes]) for name in vars(scenes[0])}
-    )
+    both = map_tensors(scenes[0], lambda *x: torch.cat(x), scenes[1])
     boxes = torch.tensor([[[0.0, 0.1, 0.03]], [[0.05, -0.1, 0.03]]]), torch.full((2, 1, 3), 0.1)
     with torch.no_grad():
         batched = net.encode(both)
@@ -69,11 +68,8 @@ def test_objects_contain_masked_features_and_image_crops() -> None:
     objects = perceiver.objects(perceiver.encode(frames, cameras), boxes, frames, cameras)
     mask, behind, hidden = objects.crop_NCXYZ[:, :3].unbind(1)
     assert 0 <= mask.min() and mask.max() <= 1
-    assert (
-        ((behind >= 0) & (behind <= 1)).all()
-        and (hidden.max() > 0)
-        and (behind[hidden > 0] > 0).all()
-    )
+    assert ((behind >= 0) & (behind <= 1)).all()
+    assert hidden.max() > 0 and (behind[hidden > 0] > 0).all()
     color = np.random.default_rng(world.episodes[0].bodies[0].texture_seed).integers(60, 255, 3)
     np.testing.assert_allclose(objects.image_NV3HW[0, :, :, 16, 16], np.tile(color, (2, 1)), atol=1)
     np.testing.assert_allclose(
@@ -86,13 +82,10 @@ def test_loaded_weights_render_the_same_view(tmp_path: Path) -> None:
     perceiver.save(tmp_path / "a.safetensors")
     again = Perceiver.load(tmp_path / "a.safetensors")
     frames, cameras = world.read(0, 0, [2])
-    image = perceiver.render(
-        perceiver.encode(frames, cameras), world.episodes[0].steps[0].cameras[5]
-    )
+    query = world.episodes[0].steps[0].cameras[5]
+    image, repeated = (p.render(p.encode(frames, cameras), query) for p in (perceiver, again))
     assert image.shape == (64, 64, 3) and image.dtype == np.uint8
-    np.testing.assert_array_equal(
-        again.render(again.encode(frames, cameras), world.episodes[0].steps[0].cameras[5]), image
-    )
+    np.testing.assert_array_equal(repeated, image)
 
 
 def test_invalid_weight_files_are_rejected_with_their_name(tmp_path: Path) -> None:
@@ -108,27 +101,23 @@ def test_invalid_weight_files_are_rejected_with_their_name(tmp_path: Path) -> No
     perceiver = make_perceiver()
     perceiver.save(path)
     tensors, config = load_file(path), to_json(small_network())
-    save_file(
-        tensors,
-        path,
-        {"format": "oes-perception-4", "config": config.replace('"hidden":32', '"hidden":48')},
-    )
+    metadata = {"format": PERCEPTION_FORMAT}
+    other_config = config.replace('"hidden":32', '"hidden":48')
+    save_file(tensors, path, metadata | {"config": other_config})
     with pytest.raises(PerceptionFileError, match="do not fit the stored config"):
         Perceiver.load(path)
-    save_file(
-        tensors, path, {"format": "oes-perception-4", "config": config.replace("hidden", "width")}
-    )
+    save_file(tensors, path, metadata | {"config": config.replace("hidden", "width")})
     with pytest.raises(PerceptionFileError, match="hidden: missing"):
         Perceiver.load(path)
 
 
 def test_batches_depend_on_the_step_only_and_query_no_input_view() -> None:
     sampler = Sampler(sampling(), 2, 1, 0, GRID, BoxWorld(4), box_solids(), range(4))
-    once, twice, later = sampler.batch_at(5), sampler.batch_at(5), sampler.batch_at(6)
-    torch.testing.assert_close(once.views.depth_m_BVHW, twice.views.depth_m_BVHW)
-    torch.testing.assert_close(once.region_center_BN3, twice.region_center_BN3)
-    assert not torch.equal(once.query.rgb_BVHW3, later.query.rgb_BVHW3)
-    inputs, query = once.views.world_T_cam_BV44, once.query.world_T_cam_BV44
+    first, again, later = sampler.batch_at(5), sampler.batch_at(5), sampler.batch_at(6)
+    torch.testing.assert_close(first.views.depth_m_BVHW, again.views.depth_m_BVHW)
+    torch.testing.assert_close(first.region_center_BN3, again.region_center_BN3)
+    assert not torch.equal(first.query.rgb_BVHW3, later.query.rgb_BVHW3)
+    inputs, query = first.views.world_T_cam_BV44, first.query.world_T_cam_BV44
     assert ((inputs - query).abs().flatten(2).amax(-1) > 1e-3).all()
 
 

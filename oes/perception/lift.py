@@ -99,7 +99,7 @@ def lift(
 def _project(
     views: Views, view: int, points_BP3: Tensor, interpolate_depth: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Flat pixel index BP in BHW, depth BP of the surface minus the point's, whether in the image."""
+    """Flat pixel index BP in BHW, depth BP of the surface minus the point's, whether in view."""
     depth_BHW = views.depth_m_BVHW[:, view]
     batch, height, width = depth_BHW.shape
     # The 8 significant bits of bfloat16 cannot tell half pixels apart past 128.
