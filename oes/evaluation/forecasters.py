@@ -219,9 +219,7 @@ def to_gt_objects(
 def true_forecast(episode: Episode, center_N3: Floats) -> Forecast:
     """Recorded motion of the points ``center_N3`` of an episode's objects."""
     motions = [true_motion(episode.steps, i, center_3) for i, center_3 in enumerate(center_N3)]
-    translation_TN3, rotation_TN33 = (
-        np.stack(parts, axis=1) for parts in zip(*motions, strict=True)
-    )
+    translation_TN3, rotation_TN33 = (np.stack(x, axis=1) for x in zip(*motions, strict=True))
     return Forecast(translation_TN3, rotation_TN33, np.ones(len(center_N3), dtype=bool))
 
 

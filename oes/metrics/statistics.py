@@ -30,10 +30,8 @@ def bootstrap_ratio(
     Groups are resampled as in ``bootstrap_mean``. Raises ValueError for unpaired or no values.
     """
     if numerator.shape != denominator.shape:
-        raise ValueError(
-            f"a ratio of paired values needs equal shapes, not {numerator.shape} and "
-            f"{denominator.shape}"
-        )
+        shapes = f"{numerator.shape} and {denominator.shape}"
+        raise ValueError(f"a ratio of paired values needs equal shapes, not {shapes}")
     above_G, below_G = (_group_sums(values, groups)[0] for values in (numerator, denominator))
     weight_RG = _resamples(len(above_G), seed)
     ratios_R = (weight_RG @ above_G) / (weight_RG @ below_G)

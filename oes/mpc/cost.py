@@ -35,9 +35,9 @@ class GoalCost:
         points_P2 = np.concatenate([np.zeros((0, 2)), *points])
         self.clearance = DistanceField(points_P2, cell_m, scene.half_m)
         circles = [(shape.center_2, shape.radius_m) for shape in scene.obstacles]
-        self.distances = [
-            GeodesicDistance(goal[:2], self.clearance, circles, shape.radius_m + cfg.margin_m)
-            for goal, shape in zip(goal_G3, scene.moved, strict=True)
+        self.moved = [
+            (GeodesicDistance(goal[:2], self.clearance, circles, x.radius_m + cfg.margin_m), x)
+            for goal, x in zip(goal_G3, scene.moved, strict=True)
         ]
 
     def __call__(self, rollouts: Rollouts) -> Tensor:
@@ -51,18 +51,16 @@ class GoalCost:
 
     def initial(self) -> float:
         """Cost of the current state, without any push."""
-        pairs = zip(self.distances, self.scene.moved, strict=True)
-        return float(np.mean([distance(shape.center_2) for distance, shape in pairs]))
+        return float(np.mean([distance(shape.center_2) for distance, shape in self.moved]))
 
     def headings(self) -> Floats:
         """Initial direction G (rad) of each moved object's shortest path to its goal."""
-        pairs = zip(self.distances, self.scene.moved, strict=True)
-        return np.array([distance.heading(shape.center_2) for distance, shape in pairs])
+        return np.array([distance.heading(shape.center_2) for distance, shape in self.moved])
 
     def _goal_and_collision_cost(self, rollouts: Rollouts) -> Tensor:
-        count = len(self.distances)
+        count = len(self.moved)
         xy_STG2 = rollouts.position_STN3[:, :, :count, :2].double().numpy()
-        remaining = [distance(xy_STG2[:, :, i]) for i, distance in enumerate(self.distances)]
+        remaining = [distance(xy_STG2[:, :, i]) for i, (distance, _) in enumerate(self.moved)]
         cost_ST = np.mean(remaining, axis=0)
         if not self.clearance.is_empty:
             rotation_STG22 = rollouts.rotation_STN33[:, :, :count, :2, :2].double().numpy()

@@ -55,10 +55,10 @@ class PlannerConfig:
 
     def __post_init__(self) -> None:
         """Raises ValueError for fewer reranked plans than elites."""
-        if self.num_reranked < self.num_elites:
+        reranked, elites = self.num_reranked, self.num_elites
+        if reranked < elites:
             raise ValueError(
-                f"num_reranked must be at least num_elites ({self.num_elites}); "
-                f"found {self.num_reranked}"
+                f"num_reranked must be at least num_elites ({elites}); found {reranked}"
             )
 
 
@@ -87,9 +87,8 @@ class PushSampler:
             params_SC = self._sample_uniform(cfg, headings_G)
         else:
             params_SC = self._sample_around(cfg, elites_SC.numpy())
-        steps = cfg.horizon_steps
-        starts = [_start(self.scene.moved[int(i)], *push) for i, *push in params_SC[:, :4]]
-        start_S2 = np.stack(starts)
+        steps, moved = cfg.horizon_steps, self.scene.moved
+        start_S2 = np.stack([_start(moved[int(i)], *push) for i, *push in params_SC[:, :4]])
         turn_ST, length_ST = params_SC[:, 4 : 4 + steps], params_SC[:, 4 + steps :]
         angle_ST = params_SC[:, 1:2] + np.cumsum(turn_ST, axis=1)
         x_ST, y_ST = length_ST * np.cos(angle_ST), length_ST * np.sin(angle_ST)
@@ -100,9 +99,8 @@ class PushSampler:
         is_reached_S = (np.abs(path_SI2) <= self.rod.workspace_m).all(axis=(1, 2))
         kept = np.flatnonzero(is_reached_S & self._is_free(start_S2))[: cfg.num_candidates]
         if not len(kept):
-            raise NoFreeStart(
-                f"none of {len(params_SC)} starts beside {len(self.scene.moved)} objects is free"
-            )
+            count = len(params_SC)
+            raise NoFreeStart(f"none of {count} starts beside {len(moved)} objects is free")
         tips = np.column_stack([start_S2[kept], np.full(len(kept), self.rod.tip_height_m)])
         tip_S3, actions = (torch.from_numpy(a).float() for a in (tips, actions_ST3[kept]))
         return Candidates(tip_S3, actions, torch.from_numpy(params_SC[kept]))

@@ -78,11 +78,8 @@ def _slot(manifold: Manifold, b: int, n: int, point_3: Floats) -> int:
     point_43, count = manifold.point_BN43[b, n], manifold.count_BN[b, n]
     slot, least = -1, manifold.breaking_BN[b, n] * manifold.breaking_BN[b, n]
     for c in range(count):
-        x, y, z = (
-            point_43[c, 0] - point_3[0],
-            point_43[c, 1] - point_3[1],
-            point_43[c, 2] - point_3[2],
-        )
+        x, y = point_43[c, 0] - point_3[0], point_43[c, 1] - point_3[1]
+        z = point_43[c, 2] - point_3[2]
         square = x * x + y * y + z * z
         if square < least:
             slot, least = c, square
