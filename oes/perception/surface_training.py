@@ -18,7 +18,7 @@ from oes.geom.polar import directions
 from oes.objects import LAYERS, SUPPORT, UNION, map_tensors
 from oes.perception.gt_profiles import GroundTruthProfiles
 from oes.perception.perceiver import Perceiver
-from oes.perception.samples import WorldTransform, transform_views
+from oes.perception.samples import IDENTITY, transform_views
 from oes.perception.surface import SurfaceOutput, support_points
 from oes.progress import progress_bar
 from oes.record.dataset import FrameSource
@@ -99,17 +99,18 @@ class SurfaceSampler:
         step_i = int(rng.integers(len(episode.steps)))
         step, scale = episode.steps[step_i], rng.uniform(*cfg.scale)
         camera_is = rng.choice(len(step.cameras), int(rng.integers(1, 4)), replace=False).tolist()
-        world = WorldTransform(np.eye(3), scale, np.zeros(3))
-        views = transform_views(*self.source.read(episode_i, step_i, camera_is), world)
+        images = self.source.read(episode_i, step_i, camera_is)
+        views = transform_views(*images, replace(IDENTITY, scale=scale))
         true_N3, grid = step.center_N3 * scale, perceiver.net.cfg.grid
         low_3 = np.array(grid.min_m)
         # Only objects in the grid of the scene map are perceived.
         in_grid_N3 = (true_N3 > low_3) & (true_N3 < low_3 + grid.size_m)
         object_is = np.flatnonzero(in_grid_N3.all(-1)).tolist()
-        center_N3 = true_N3 + rng.normal(0, cfg.center_jitter_m, true_N3.shape)
-        size_N3 = step.size_N3 * scale * np.exp(rng.normal(0, cfg.size_jitter, true_N3.shape))
-        center_N3 = center_N3[object_is]
-        boxes = torch.from_numpy(center_N3).float(), torch.from_numpy(size_N3[object_is]).float()
+        jitter_N3 = rng.normal(0, cfg.center_jitter_m, true_N3.shape)
+        stretch_N3 = np.exp(rng.normal(0, cfg.size_jitter, true_N3.shape))
+        center_N3 = (true_N3 + jitter_N3)[object_is]
+        size_N3 = (step.size_N3 * scale * stretch_N3)[object_is]
+        boxes = torch.from_numpy(center_N3).float(), torch.from_numpy(size_N3).float()
         # Ray casting in float64 starts at the axis before it is rounded to float32.
         base_N1 = support_points(*boxes)[:, 2:].double().numpy()
         support_N3 = np.concatenate([center_N3[:, :2], base_N1], -1)
