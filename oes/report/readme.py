@@ -27,8 +27,8 @@ def results_block(tree: Mapping[str, Any]) -> str:
         for values in planners.values()
     }
     about = (
-        f"Profile {tree['profile']}; novel objects, one random view, predicted boxes. Mean errors in "
-        f"mm/deg; success of {' or '.join(map(str, sorted(trials)))} trials with shooting/cem."
+        f"Profile {tree['profile']}; novel objects, one random view, predicted boxes. Mean errors "
+        f"in mm/deg; success of {' or '.join(map(str, sorted(trials)))} trials with shooting/cem."
     )
     table = markdown(results_table(tree)).split("\n\n", 1)[1].rstrip()
     lines = [*map("- {}".format, headline_ratios(tree)), f"- {CONTACT_NOTE}"]

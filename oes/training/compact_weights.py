@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from oes.training.tensor_io import BLOCK, SCALE_SUFFIX, ordered
+from oes.training.tensor_io import BLOCK_SIZE, SCALE_SUFFIX, ordered
 
 MIN_SIZE = 50_000  # values of a large kernel
 INT8_MAX = 127
@@ -60,8 +60,8 @@ def _compact(tensors: Mapping[str, NDArray[np.generic]]) -> Arrays:
 
 def _quantized(kernel: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float16]]:
     """int8 steps in the kernel's shape, and the step size of each block."""
-    padded = np.pad(kernel.ravel(), (0, -kernel.size % BLOCK))
-    blocks = padded.reshape(-1, BLOCK)
+    padded = np.pad(kernel.ravel(), (0, -kernel.size % BLOCK_SIZE))
+    blocks = padded.reshape(-1, BLOCK_SIZE)
     largest = np.abs(blocks).max(axis=1, keepdims=True)
     scale = np.maximum(largest / INT8_MAX, MIN_SCALE).astype(np.float16)
     steps = np.rint(blocks / scale.astype(np.float32)).clip(-INT8_MAX, INT8_MAX)

@@ -12,7 +12,7 @@ from torch import Tensor
 # An int8 kernel of a compact copy (see ``compact_weights``) comes with a tensor of scales, one for
 # each block of its flattened values.
 SCALE_SUFFIX = "#scale"
-BLOCK = 32
+BLOCK_SIZE = 32
 
 
 def write_tensors(tensors: Mapping[str, Tensor], path: Path, about: Mapping[str, str]) -> None:
@@ -44,7 +44,7 @@ def read_tensors(
 def _restored(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     """The float32 kernels that a compact copy stores as int8 with scales."""
     for name in [name for name in tensors if name.endswith(SCALE_SUFFIX)]:
-        scale = tensors.pop(name).float().repeat_interleave(BLOCK)
+        scale = tensors.pop(name).float().repeat_interleave(BLOCK_SIZE)
         kernel = tensors[name.removesuffix(SCALE_SUFFIX)]
         restored = kernel.float().flatten() * scale[: kernel.numel()]
         tensors[name.removesuffix(SCALE_SUFFIX)] = restored.reshape(kernel.shape)

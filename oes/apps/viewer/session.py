@@ -47,7 +47,7 @@ class Session:
     ) -> None:
         """``source`` holds one episode."""
         self.perceiver, self.model, self.source, self.camera_i = perceiver, model, source, camera_i
-        self.first, self.still = perceive_first_state(perceiver, source, 0, camera_i)
+        self.first, self.scene = perceive_first_state(perceiver, source, 0, camera_i)
         self.change = self.unchanged()
 
     def unchanged(self) -> Change:
@@ -74,11 +74,9 @@ class Session:
 
     def render(self, case: Scenario, motion: ObjectMotion, T: int, camera: Camera) -> Pixels:
         """The forecast at T, rendered for a camera."""
-        near = compose(self.still, motion.poses(case.poses, T))
-        image: Pixels = self.perceiver.render_fields(near, self.still.far_field, [camera]).rgb_VHW3[
-            0
-        ]
-        return image
+        near = compose(self.scene, motion.poses(case.poses, T))
+        frames = self.perceiver.render_fields(near, self.scene.far_field, [camera])
+        return frames.rgb_VHW3[0]
 
     def error_mm(self, case: Scenario, motion: ObjectMotion, happened: Episode, T: int) -> float:
         """Mean translation error at T over the objects matched to true ones; NaN without any."""
@@ -90,30 +88,26 @@ class Session:
 
     def object_points(self, i: int) -> PointsRGB:
         """The voxels of a perceived object about its centre, coloured from the input image."""
-        points_P3 = centers(self.still.window)[
-            self.first.scene.objects.crop_NCXYZ[i, 0] > MIN_OCCUPANCY
-        ]
+        mask = self.first.scene.objects.crop_NCXYZ[i, 0]
+        points_P3 = centers(self.scene.window)[mask > MIN_OCCUPANCY]
         frames, camera = self.recorded(0, self.camera_i)
-        places_P3 = (points_P3 + self.still.center_N3[i]).double().numpy()
+        places_P3 = (points_P3 + self.scene.center_N3[i]).double().numpy()
         pix_P2, _ = project(camera.K_33, camera.world_T_cam_44, places_P3)
-        column_P, row_P = np.clip(
-            pix_P2.T, 0, [[camera.width_px - 1], [camera.height_px - 1]]
-        ).astype(int)
+        last = [[camera.width_px - 1], [camera.height_px - 1]]
+        column_P, row_P = np.clip(pix_P2.T, 0, last).astype(int)
         return points_P3.numpy().astype(np.float32), frames.rgb_VHW3[0][row_P, column_P]
 
     def map_points(self) -> PointsRGB:
         """The opaque voxels of the feature map; colours are its three principal components."""
-        shown = (
-            visible_features(Field(self.still.map_CXYZ[None], self.still.grid))[0] > MIN_OCCUPANCY
-        )
-        features_P7 = self.still.map_CXYZ[1:, shown].T
+        field = Field(self.scene.map_CXYZ[None], self.scene.grid)
+        shown = visible_features(field)[0] > MIN_OCCUPANCY
+        features_P7 = self.scene.map_CXYZ[1:, shown].T
         centred = features_P7 - features_P7.mean(0)
         torch.manual_seed(0)
         main_P3 = centred @ torch.pca_lowrank(centred, q=3)[2]
         rgb_P3 = (0.5 + main_P3 / (4 * main_P3.std(0).clamp(min=1e-6))).clamp(0, 1)
-        return centers(self.still.grid)[shown].numpy().astype(np.float32), (
-            rgb_P3 * 255
-        ).byte().numpy()
+        points_P3 = centers(self.scene.grid)[shown]
+        return points_P3.numpy().astype(np.float32), (rgb_P3 * 255).byte().numpy()
 
     def recorded(self, T: int, camera_i: int) -> tuple[Frames, Camera]:
         """The recorded image of a camera at T."""

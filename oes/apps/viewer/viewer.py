@@ -211,7 +211,7 @@ class Viewer:
         with self.server.atomic():
             for i, frame in enumerate(self.moving):
                 frame.wxyz = _wxyz(poses.rotation_N33[i].double().numpy())
-                frame.position = (self.session.still.center_N3[i] + poses.translation_N3[i]).numpy()
+                frame.position = (self.session.scene.center_N3[i] + poses.translation_N3[i]).numpy()
             if case.episode.has_robot:
                 tips = case.episode.steps[0].tip_world_3 + np.cumsum(
                     [np.zeros(3), *case.episode.actions_T3], axis=0
