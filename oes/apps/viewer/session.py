@@ -76,7 +76,8 @@ class Session:
         """The forecast at T, rendered for a camera."""
         near = compose(self.scene, motion.poses(case.poses, T))
         frames = self.perceiver.render_fields(near, self.scene.far_field, [camera])
-        return frames.rgb_VHW3[0]
+        image: Pixels = frames.rgb_VHW3[0]
+        return image
 
     def error_mm(self, case: Scenario, motion: ObjectMotion, happened: Episode, T: int) -> float:
         """Mean translation error at T over the objects matched to true ones; NaN without any."""
