@@ -359,7 +359,7 @@ def results_table(tree: Mapping[str, Any]) -> Table:
         for model in (*models, CONTACT, "simulator")
     ]
     header = ("model", "pushing, T=1", "T=3", "T=5", "falling, T=5", "targets", "obstacle")
-    return Table("Mean errors and shares of successful trials", header, tuple(cells))
+    return Table("Mean errors (mm/deg) and success of trials (shooting/cem)", header, tuple(cells))
 
 
 def _group(
