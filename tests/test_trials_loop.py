@@ -257,7 +257,8 @@ def test_a_trial_without_a_feasible_push_ends_with_its_reason(
     planner = _planner(sim, Oracle())
     planner.rod = replace(planner.rod, workspace_m=0.01)
     rngs = (generator(0, "targets", 0, 1), generator(0, "targets", 0, 2))
-    result = run_trial(world, planner.perceiver.render, planner, task, TARGETS, SHOOTING, rngs)  # type: ignore[attr-defined]
+    render = planner.perceiver.render  # type: ignore[attr-defined]
+    result = run_trial(world, render, planner, task, TARGETS, SHOOTING, rngs)
     assert "is free" in result.failure and result.steps_used == 0
     assert result.final_G == pytest.approx(result.initial_G)
 
@@ -288,7 +289,8 @@ def test_a_collision_with_an_obstacle_ends_the_trial(
     planner = _planner(sim, Oracle())
     planner.cfg = replace(PLANNING, avoid=AvoidConfig(margin_m=-1.0, collision_cost_m=0.0))
     rngs = (generator(0, "targets", 1, 1), generator(0, "targets", 1, 2))
-    result = run_trial(world, planner.perceiver.render, planner, task, AROUND, CEM, rngs)  # type: ignore[attr-defined]
+    render = planner.perceiver.render  # type: ignore[attr-defined]
+    result = run_trial(world, render, planner, task, AROUND, CEM, rngs)
     assert result.failure == COLLIDED and 0 < result.steps_used < AROUND.max_steps
     assert len(result.steps) == result.steps_used + 1, "the last record shows the collision"
 

@@ -162,8 +162,8 @@ def charts(episode: Episode) -> Pixels:
         spans = [(i - 1, 1) for i in states if i and episode.steps[i].contact_AA[a, b]]
         contacts.broken_barh(spans, (row - 0.3, 0.6), color=_colour(b - FIRST_OBJECT))
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    return np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
 
 
 def _colour(object_i: int) -> str:

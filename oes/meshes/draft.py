@@ -87,11 +87,11 @@ def resting(hull: trimesh.Trimesh, com_3: Floats) -> tuple[Floats, float]:
     projection_F3 = (
         com_3 - ((com_3 - corner_F33[:, 0]) * normal_F3).sum(1, keepdims=True) * normal_F3
     )
-    weights_F3 = trimesh.triangles.points_to_barycentric(corner_F33, projection_F3)  # type: ignore[no-untyped-call]
+    weights_F3 = trimesh.triangles.points_to_barycentric(corner_F33, projection_F3)
     stable_F = (weights_F3 > -1e-6).all(1)
     tilt_F = np.where(stable_F, np.degrees(np.arccos(np.clip(-normal_F3[:, 2], -1, 1))), np.inf)
     facet_i = int(tilt_F.argmin())
     if tilt_F[facet_i] < MIN_TURN_DEG:
         return np.eye(4), 0.0
-    rotation_44 = trimesh.geometry.align_vectors(normal_F3[facet_i], [0, 0, -1])  # type: ignore[no-untyped-call]
+    rotation_44 = trimesh.geometry.align_vectors(normal_F3[facet_i], [0, 0, -1])
     return np.asarray(rotation_44), float(tilt_F[facet_i])

@@ -1,6 +1,7 @@
 """Contact sheet of a mesh catalogue: every mesh with its name, category, split and size."""
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -57,7 +58,7 @@ def write_contact_sheet(catalogue: Catalogue, tile_px: int, path: Path) -> None:
                 cell_px * (i % TILES_PER_ROW, i // TILES_PER_ROW) + (GAP_PX, HEAD_PX)
             ).tolist()
             _tile(canvas, mesh, left_px, top_px, tile_px)
-        FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})  # type: ignore[no-untyped-call]
+        FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})
 
 
 def _tile(canvas: Axes, mesh: Mesh, left_px: float, top_px: float, tile_px: int) -> None:
@@ -81,9 +82,9 @@ def _tile(canvas: Axes, mesh: Mesh, left_px: float, top_px: float, tile_px: int)
 
 
 def _text(
-    canvas: Axes, x: float, y: float, text: str, color: str, size_pt: float, **style: object
+    canvas: Axes, x: float, y: float, text: str, color: str, size_pt: float, **style: Any
 ) -> None:
-    canvas.text(x, y, text, color=color, fontsize=size_pt, va="center", **style)  # type: ignore[arg-type]
+    canvas.text(x, y, text, color=color, fontsize=size_pt, va="center", **style)
 
 
 def _image(mesh: Mesh, size_px: int) -> tuple[Floats, float]:

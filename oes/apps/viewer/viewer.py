@@ -2,6 +2,8 @@
 
 import threading
 import time
+from functools import partial
+from typing import Any
 
 import numpy as np
 import viser
@@ -52,7 +54,7 @@ class Viewer:
         panel.simulate.on_click(lambda _: self.simulate())
         panel.restore.on_click(lambda _: self.restore())
         for name, box in panel.layers.items():
-            box.on_update(lambda event, name=name: self._show(name, event.target.value))  # type: ignore[misc]
+            box.on_update(partial(self._show, name))
         return panel
 
     def _build_scene(self) -> None:
@@ -102,7 +104,7 @@ class Viewer:
                 wxyz=_wxyz(pose[:3, :3]),
                 position=pose[:3, 3],
             )
-            shape.on_click(lambda _, name=camera.name: setattr(self.panel.camera, "value", name))  # type: ignore[misc]
+            shape.on_click(partial(self._select_camera, camera.name))
 
     def _wire(self, name: str, size_3: Floats, colour: Colour, place_3: Floats) -> viser.BoxHandle:
         return self.server.scene.add_box(name, colour, size_3, wireframe=True, position=place_3)
@@ -111,7 +113,7 @@ class Viewer:
         """Put the handles at the recorded positions."""
         for i, center_3 in enumerate(self.session.first.scene.objects.center_N3.numpy()):
             handle = self._handle(f"/handles/{i}", center_3)
-            handle.on_update(lambda event, i=i: self._drag(i, np.asarray(event.target.position)))  # type: ignore[misc]
+            handle.on_update(partial(self._on_drag, i))
         episode = self.session.first.episode
         if not episode.has_robot:
             return
@@ -135,6 +137,9 @@ class Viewer:
             depth_test=False,
             position=place_3,
         )
+
+    def _on_drag(self, i: int, event: Any) -> None:
+        self._drag(i, np.asarray(event.target.position))
 
     def _drag(self, i: int, place_3: Floats) -> None:
         first_3 = self.session.first.scene.objects.center_N3[i].double().numpy()
@@ -231,8 +236,11 @@ class Viewer:
                         self.truth.steps[T].size_N3[i],
                     )
 
-    def _show(self, name: str, is_shown: bool) -> None:
-        self.layers[name].visible = is_shown
+    def _show(self, name: str, event: Any) -> None:
+        self.layers[name].visible = event.target.value
+
+    def _select_camera(self, name: str, _: Any) -> None:
+        self.panel.camera.value = name  # type: ignore[misc]
 
 
 def _wxyz(rotation_33: Floats) -> Floats:
