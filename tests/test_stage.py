@@ -64,10 +64,10 @@ class Small:
 
 @pytest.fixture
 def repo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A scratch repository with the real cli, config and stage modules and one toy stage."""
+    """A scratch repository with the real modules that stages import and one toy stage."""
     (tmp_path / "oes").mkdir()
     (tmp_path / "stages").mkdir()
-    for name in ("__init__", "cli", "config", "stage"):
+    for name in ("__init__", "cli", "config", "episode", "stage"):
         (tmp_path / f"oes/{name}.py").write_text(
             (ROOT / f"oes/{name}.py").read_text(encoding="utf-8"), encoding="utf-8"
         )
