@@ -19,7 +19,7 @@ from tests.report_inputs import UNCALIBRATED
 
 
 def _errors(path: Path) -> pd.DataFrame:
-    """Two models, three episodes of two objects; graph_xyz errs by 10 T per object number, oes by
+    """Two models, three episodes of two objects; graph_xyz is off by 10 T per object number, oes by
     half of that.
 
     Surface distances are a fifth as large, and ten times that in the last episode.

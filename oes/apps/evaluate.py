@@ -86,7 +86,6 @@ def main(
             shutil.copytree(work / "episodes", report / "episodes", dirs_exist_ok=True)
         sys.stdout.write(write_report(report, f"meshes of {meshes.name}", count - len(failures)))
         publish(report, out)
-        shutil.rmtree(work)
 
 
 def write_perception(work: Path, weights: Path, cfg: ObjectsConfig) -> None:
